@@ -48,6 +48,18 @@ describe("the language", () => {
     expect(texts.panel.light).toBe(said);
   });
 
+  it("is English where the other catalogue cannot be fetched, with numbers to go with it", async () => {
+    vi.resetModules();
+    vi.doMock("../src/words/de.js", () => {
+      throw new Error("offline");
+    });
+    const words = await import("../src/words/words.js");
+    await words.speak("de-AT");
+    expect([words.texts.panel.light, words.locale]).toEqual(["Light", "en"]);
+    vi.doUnmock("../src/words/de.js");
+    vi.resetModules();
+  });
+
   it("is that of faults, too", async () => {
     const nothing = { kind: "files", files: new Map() } as const;
     await expect(openSource(nothing)).rejects.toThrow("there is no manifest.json; drop the folder");

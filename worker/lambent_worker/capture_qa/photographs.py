@@ -124,8 +124,7 @@ def look(
     """
     seen: dict[str, _Seen] = {}
     rows: list[dict[str, Any]] = []
-    # The first that looks like a mask is shown only where all do: see `_tell_masks_apart`.
-    portraits: dict[bool, str] = {}
+    portraits: dict[int, str] = {}
     for name in names:
         announce(name)
         row: dict[str, Any] = {"name": name}
@@ -163,8 +162,8 @@ def look(
 def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], portraits: dict[int, str]) -> _Seen:
     """Return what a photograph shows, after filling in its size; raises `PictureError` where it is unusable.
 
-    `portraits` gets its portrait where it is the first photograph (0), the first even picture, which may be
-    the mask of a photograph without the object (1), or the first that looks like a mask (2).
+    `portraits` gets its portrait under its rank where it is the first of that: 0 for a photograph, 1 for
+    a picture of one level, which may be the mask of a view without the object, and 2 for any other mask.
     """
     row["width"], row["height"] = size = picture_size(path)
     if min(size) < limits.min_side:

@@ -5,9 +5,9 @@ import { initialState, type ViewerState, wrapped } from "./state.js";
 import type { Viewer } from "./viewer.js";
 
 const degreesPerSecond = 10;
-/** Nobody has come in that many turns. */
+/** The light stops after that many turns, to save power. */
 const mostTurns = 3;
-/** Where frames take longer than this a turn is not smooth, and costs more than it shows. */
+/** Where frames take longer than this the turn is not smooth, and stops. */
 const longestFrameMs = 90;
 const judgedFrames = 8;
 

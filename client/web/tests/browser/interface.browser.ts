@@ -207,6 +207,23 @@ describe("addresses", () => {
     await other.close();
   });
 
+  it("that a light cannot be fetched from leave the light before, as it stood", async () => {
+    const other = await openViewer(browser, { v: "2" }, "data/bundle/", { width: 320, height: 240 });
+    const { before, after } = await other.evaluate(async () => {
+      const element = document.querySelector("lambent-viewer")!;
+      // Ends its first turn.
+      element.dispatchEvent(new Event("pointerdown"));
+      const before = element.state;
+      const environment = `url:${new URL("data/nothing.exr", location.href).href}`;
+      await element.update({ environment }).catch(() => {});
+      return { before, after: element.state };
+    });
+    expect(after.environment).toBe("preset:softboxes");
+    expect(before.turn.yawDeg).not.toBe(0);
+    expect(after.turn).toEqual(before.turn);
+    await other.close();
+  });
+
   it("with a light that is gone show the object in another one, and say so", async () => {
     const other = await openViewer(browser, { env: "url:data/nothing.exr" }, "data/bundle/", {
       width: 320,

@@ -23,26 +23,20 @@ from flashcache.polish.neighbours import Neighbours
 from flashcache.polish.normals import plane_normals, tilted
 from flashcache.polish.polish import LEAST_ELEMENTS, NUM_PARTS, polish
 from support import lit_sphere
-from support.sphere_model import RADIUS, sphere_model
+from support.polished_ball import pictures_of_the_model, trained_ball
+from support.sphere_model import sphere_model
 
 QUARTER = ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @pytest.fixture(scope="module")
 def scene():
-    before = lit_sphere.RADIUS
-    # Pictures of the model's ball; its edge is soft.
-    lit_sphere.RADIUS = 0.8 * RADIUS
-    try:
-        return lit_sphere.lit_sphere(num_views=14, side=40)
-    finally:
-        lit_sphere.RADIUS = before
+    return pictures_of_the_model()
 
 
 @pytest.fixture(scope="module")
 def model():
-    torch.manual_seed(0)
-    return sphere_model(lights=("sky",)).eval().requires_grad_(False)
+    return trained_ball()
 
 
 def pixels_of(scene) -> TrainingPixels:

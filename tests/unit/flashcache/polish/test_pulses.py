@@ -9,25 +9,17 @@ from flashcache.data.ray_batches import PixelChoice, TrainingPixels
 from flashcache.polish import polish as whole
 from flashcache.polish import write
 from flashcache.polish.polish import polish
-from support import lit_sphere
-from support.sphere_model import RADIUS, sphere_model
+from support.polished_ball import pictures_of_the_model, trained_ball
 
 
 @pytest.fixture
 def scene():
-    before = lit_sphere.RADIUS
-    # Pictures of the model's ball; its edge is soft.
-    lit_sphere.RADIUS = 0.8 * RADIUS
-    try:
-        return lit_sphere.lit_sphere(num_views=14, side=40)
-    finally:
-        lit_sphere.RADIUS = before
+    return pictures_of_the_model()
 
 
 @pytest.fixture
 def model():
-    torch.manual_seed(0)
-    return sphere_model(lights=("sky",)).eval().requires_grad_(False)
+    return trained_ball()
 
 
 def test_nothing_that_takes_long_is_done_without_a_pulse_before_and_after(scene, model, monkeypatch):

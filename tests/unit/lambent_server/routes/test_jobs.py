@@ -169,6 +169,9 @@ def test_a_retry_is_a_new_job_with_the_same_order(api: Api, scene: str):
 def test_a_size_of_textures_that_no_run_makes_is_refused_of_new_jobs_only(api: Api, scene: str, name: str):
     given = {"scene_id": scene, "params": {name: "1000"}}
     problem = expect_problem(api.post("/v1/jobs", json=given), 422, "setting_invalid")
+    # A run would read a number with blanks around it all the same.
+    blanks = {"scene_id": scene, "params": {name: " 1000 "}}
+    expect_problem(api.post("/v1/jobs", json=blanks), 422, "setting_invalid")
     assert problem["errors"][0]["pointer"] == f"#/params/{name}"
     assert "multiples of 16" in problem["detail"]
     job = api.job(scene, params={name: "1024"})
