@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from support.chromium import Page, browser
 from support.refine_page import build_viewer
+from support.view_camera import view_camera
 
 from benchmarks.mirror_ball import ball_glb
 
@@ -157,19 +158,10 @@ class OurViewer(Side):
 
     def picture(self, camera: Camera, *, refined: bool = False) -> Picture:
         """Return what a camera sees."""
-        given = {
-            "width": camera.width,
-            "height": camera.height,
-            "focalX": camera.focal_x,
-            "focalY": camera.focal_y,
-            "centreX": camera.centre_x,
-            "centreY": camera.centre_y,
-            "cameraToWorld": np.asarray(camera.camera_to_world).ravel().tolist(),
-        }
         method = "refinedPicture" if refined else "picture"
         text = self._page.evaluate(
             f"""(async () => {{
-                const {{ data }} = await element.{method}({json.dumps(given)});
+                const {{ data }} = await element.{method}({json.dumps(view_camera(camera))});
                 return btoa(Array.from(data, (byte) => String.fromCharCode(byte)).join(''));
             }})()"""
         )

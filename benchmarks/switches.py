@@ -32,6 +32,7 @@ QUICK = "{sample} --preset tiny --only no-clusters --views 1"
 SWITCHES: dict[str, dict[str, str]] = {
     "base": {},
     "no-grey": {"stage_two.grey_weight": "0.0"},
+    "no-tint": {"stage_two.tint_weight": "0.0"},
     "no-metalness-prior": {
         "stage_two.metalness_prior.weight": "0.0",
         "stage_two.metalness_prior.warmup_weight": "0.0",

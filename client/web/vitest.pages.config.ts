@@ -4,6 +4,7 @@ import { defineConfig } from "vitest/config";
 export default defineConfig({
   test: {
     include: ["tests/pages/**/*.browser.ts"],
+    globalSetup: ["tests/support/checkout.ts"],
     testTimeout: 120_000,
     hookTimeout: 120_000,
     fileParallelism: false,

@@ -8,7 +8,7 @@ import { meshFromGlb } from "../src/bundle/mesh.js";
 import { sha256, sha256Hex } from "../src/bundle/sha256.js";
 import { openSource } from "../src/bundle/source.js";
 import { blocksAround, spreadTexels } from "../src/bundle/texels.js";
-import { tableWidth, withShadowBits } from "../src/bundle/transport.js";
+import { tableWidth, forHits } from "../src/bundle/transport.js";
 import { readUncertainty } from "../src/bundle/uncertainty.js";
 import {
   allFiles,
@@ -100,7 +100,7 @@ describe("a bundle", () => {
       expect(shares.at(-1)).toBe(1);
       expect([...bundle.mesh.indices]).toEqual([0, 1, 2]);
       const { manifest, read } = await openBundle(await openSource(origin));
-      const { shadowBits } = await withShadowBits(bundle.transport, manifest.transport!, read);
+      const { shadowBits } = await forHits(bundle.transport, manifest.transport!, read);
       const { direct, coarseOfTexel } = bundle.transport;
       // One plane: the first of four in its layer; the second texel is the second value of the file.
       expect([direct.steps[0], direct.steps[4], direct.steps[1]]).toEqual([0, 7, 0]);
@@ -172,7 +172,7 @@ describe("a bundle", () => {
     const origin = { kind: "archive", file: new Blob([zipOf(allFiles(bundle))]) } as const;
     const { transport } = await loadBundle(origin, () => {}, decoded);
     const { manifest, read } = await openBundle(await openSource(origin));
-    const fault = await faultOf(withShadowBits(transport, manifest.transport!, read));
+    const fault = await faultOf(forHits(transport, manifest.transport!, read));
     expect(fault.code).toBe("bundle.transport_invalid");
   });
 

@@ -4,7 +4,7 @@ import { BundleFault } from "../src/bundle/fault.js";
 import { loadBundle } from "../src/bundle/load.js";
 import { openBundle } from "../src/bundle/manifest.js";
 import { openSource } from "../src/bundle/source.js";
-import { withShadowBits } from "../src/bundle/transport.js";
+import { forHits } from "../src/bundle/transport.js";
 
 // Bundles of earlier versions; tests/unit/lambent_relight/bundle/test_bundle_versions.py reads the same.
 const folder = new URL("../../../tests/golden/bundles/", import.meta.url);
@@ -38,7 +38,7 @@ describe("golden bundles", () => {
     expect(bundle.transport.direct.bands).toBe(bands);
     expect(bundle.transport.shadowBits).toBe(null);
     const { manifest, read } = await openBundle(await openSource(originOf(name)));
-    const whole = await withShadowBits(bundle.transport, manifest.transport!, read);
+    const whole = await forHits(bundle.transport, manifest.transport!, read);
     expect(whole.shadowBits !== null).toBe(hasBits);
     expect(bundle.trainedMaps.length).toBe(numMaps);
     expect(bundle.uncertainty !== null).toBe(numMaps > 0);

@@ -41,6 +41,7 @@ function job(values: Partial<Job> = {}): Job {
     batch_id: null,
     thumbnail_url: null,
     last_event: 0,
+    webhook: null,
     ...values,
   };
 }
@@ -62,7 +63,8 @@ class FakeServer {
   readonly job = async () => ({ ...this.current, last_event: this.history.length });
   readonly events = async (_: string, after: number) => {
     this.asked.push(after);
-    return { items: this.history.filter((one) => one.seq > after).slice(0, 1000) };
+    const items = this.history.filter((one) => one.seq > after).slice(0, 1000);
+    return { items, next_cursor: null };
   };
   add(values: Partial<JobEvent> = {}): JobEvent {
     const one = event(this.history.length + 1, values);

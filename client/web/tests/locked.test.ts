@@ -1,5 +1,6 @@
 import { describe, expect, it } from "vitest";
-import { codeIn } from "../src/jobs/lockedView.js";
+import { codeIn, failedSignIn } from "../src/jobs/lockedView.js";
+import { texts } from "../src/words/words.js";
 
 describe("a one-time link", () => {
   it.each([
@@ -12,5 +13,17 @@ describe("a one-time link", () => {
     [`code=${"a".repeat(201)}`, null],
   ])("%j has the code %j", (text, code) => {
     expect(codeIn(text)).toBe(code);
+  });
+});
+
+describe("a sign-in that has failed", () => {
+  it.each([
+    ["#sign-in=sign_in_refused", texts.locked.signInRefused],
+    ["#sign-in=sign_in_failed", texts.locked.signInFailed],
+    ["#sign-in=x", texts.locked.signInFailed],
+    ["#/jobs/x", null],
+    ["", null],
+  ])("%j says what to do", (hash, text) => {
+    expect(failedSignIn(hash)).toBe(text);
   });
 });

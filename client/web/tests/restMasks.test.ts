@@ -74,7 +74,7 @@ class FakeServer implements PreparationApi {
         marked.includes(name) ? `mask of ${name} in ${id}` : `mask of ${name}`,
       ),
     ]);
-    return { items: [file("preparation/frames.json", id), ...frames] };
+    return { items: [file("preparation/frames.json", id), ...frames], next_cursor: null };
   };
   document = async <T>() => preparation as T;
   blob = async (url: string) => new Blob([url]);

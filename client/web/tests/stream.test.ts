@@ -82,6 +82,22 @@ describe("follow", () => {
     expect(states).toEqual([true, false, true]);
   });
 
+  it("keeps its place through messages without one and refusals for the time being", async () => {
+    await start();
+    server.write(`${block("a:1", "{}")}event: snapshot\ndata: {}\n\n`);
+    await vi.advanceTimersByTimeAsync(0);
+    expect(heard).toHaveLength(2);
+    server.answers = [
+      () => {
+        throw new Refused(429, "quota_streams", "full", true);
+      },
+    ];
+    server.current!.close();
+    await vi.advanceTimersByTimeAsync(600);
+    await vi.advanceTimersByTimeAsync(1_100);
+    expect(server.asked).toEqual(["", "a:1", "a:1"]);
+  });
+
   it("waits longer each time for a server that is away, and not for ever", async () => {
     server.answers = Array.from({ length: 40 }, () => () => {
       throw new Unreachable("away");

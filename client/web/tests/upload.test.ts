@@ -2,7 +2,7 @@ import { createHash } from "node:crypto";
 import { describe, expect, it } from "vitest";
 import { sha256Hex } from "../src/bundle/sha256.js";
 import { droppedEntries, filesIn } from "../src/page/files.js";
-import { Refused, type Scene, Unreachable } from "../src/page/rest.js";
+import { type FileUpload, Refused, type Scene, Unreachable } from "../src/page/rest.js";
 import { type Candidate, collect, NotAScene } from "../src/upload/collect.js";
 import { type UploadStep, upload } from "../src/upload/upload.js";
 import { zipOf } from "./support/bundle.js";
@@ -118,7 +118,51 @@ class FakeServer {
   readonly planFiles = async (_: string, all: readonly { path: string; sha256: string }[]) => {
     this.planned = [...all];
     const missing = [...new Set(all.map((one) => one.sha256))].filter((one) => !this.blobs.has(one));
-    return { missing, unsupported: [] };
+    return { missing, unsupported: [], uploads: this.direct ? this.#offers(missing.slice(0, 1)) : [] };
+  };
+  /** Whether files go to a store, which answers with these statuses, or not at all; its parts have 2 bytes. */
+  direct = false;
+  statuses: (number | null)[] = [];
+  stored: string[] = [];
+  parts = new Map<string, string>();
+  asked: string[] = [];
+
+  #offers(hashes: readonly string[]): FileUpload[] {
+    return hashes.map((sha256) => ({
+      sha256,
+      size_bytes: 3,
+      expires_at: "",
+      parts: [0, 2].map((offset, place) => ({
+        number: place + 1,
+        offset,
+        size_bytes: 2,
+        url: `https://store/${sha256}/${offset}`,
+        headers: { "x-check": sha256 },
+      })),
+    }));
+  }
+  readonly offerUploads = async (_: string, hashes: readonly string[]) => {
+    this.asked.push(...hashes);
+    return { items: this.#offers(hashes) };
+  };
+  putToStore = async (url: string, headers: Readonly<Record<string, string>>, body: Blob) => {
+    const status = this.statuses.length > 0 ? this.statuses.shift()! : 200;
+    if (status === null) throw new Unreachable("not allowed");
+    const [sha256, offset] = url.split("/").slice(-2) as [string, string];
+    expect(headers).toEqual({ "x-check": sha256 });
+    if (status === 200) this.parts.set(`${sha256}/${offset}`, await body.text());
+    return status;
+  };
+  readonly completeUploads = async (_: string, hashes: readonly string[]) => {
+    this.#stumble();
+    const whole = (one: string) =>
+      sha((this.parts.get(`${one}/0`) ?? "") + (this.parts.get(`${one}/2`) ?? "")) === one;
+    const stored = hashes.filter(whole);
+    this.stored.push(...stored);
+    const refused = hashes
+      .filter((one) => !whole(one))
+      .map((sha256) => ({ sha256, code: "upload_missing", detail: "no" }));
+    return { stored, refused };
   };
   readonly putFile = async (_: string, sha256: string, body: Blob) => {
     this.#stumble();
@@ -204,6 +248,70 @@ describe("upload", () => {
     const { given, controller } = tools(server);
     controller.abort(new Error("stopped"));
     await expect(upload(await collect(files(capture)), given)).rejects.toThrow("stopped");
+    expect(server.committed).toBe("");
+  });
+
+  const two = { "a/1.png": "one", "a/2.png": "two" };
+
+  it("sends files to the store in parts, and asks for addresses that the plan has not", async () => {
+    const server = new FakeServer();
+    server.direct = true;
+    const { given, steps } = tools(server);
+    await upload(await collect(files(two)), given);
+    expect(server.stored.sort()).toEqual([sha("one"), sha("two")].sort());
+    expect(server.asked).toEqual([sha("two")]);
+    expect(server.sent).toEqual([]);
+    expect(steps.at(-1)).toMatchObject({ what: "commit", doneBytes: 6 });
+  });
+
+  it("lets the server take the files where the store does not let pages send to it", async () => {
+    const server = new FakeServer();
+    server.direct = true;
+    server.statuses = [null, null];
+    const { given, pauses } = tools(server);
+    await upload(await collect(files(two)), given);
+    expect(server.sent.sort()).toEqual([sha("one"), sha("two")].sort());
+    expect(server.stored).toEqual([]);
+    expect(pauses).toEqual([]);
+  });
+
+  it("asks for new addresses where they have expired, and waits for a store that is away", async () => {
+    const server = new FakeServer();
+    server.direct = true;
+    server.statuses = [200, 403, 200, 503, 200, 200];
+    const { given, pauses } = tools(server);
+    await upload(await collect(files({ "a/1.png": "one" })), given);
+    expect(server.stored).toEqual([sha("one")]);
+    expect(server.asked).toHaveLength(2);
+    expect(pauses).toEqual([500]);
+    expect(server.sent).toEqual([]);
+  });
+
+  it("goes on with the store when the server is away for a while", async () => {
+    const server = new FakeServer();
+    server.direct = true;
+    const { given, pauses } = tools(server);
+    const plan = server.planFiles;
+    const api = {
+      ...server,
+      planFiles: async (...all: Parameters<typeof plan>) => {
+        server.faults = [new Unreachable("away")];
+        return plan(...all);
+      },
+    };
+    await upload(await collect(files({ "a/1.png": "one" })), {
+      ...given,
+      api: api as unknown as FakeServer,
+    });
+    expect(pauses).toEqual([500]);
+    expect(server.stored).toEqual([sha("one")]);
+  });
+
+  it("gives up files that the store has never got as they are", async () => {
+    const server = new FakeServer();
+    server.direct = true;
+    server.putToStore = async () => 200;
+    await expect(upload(await collect(files(two)), tools(server).given)).rejects.toThrow("no");
     expect(server.committed).toBe("");
   });
 

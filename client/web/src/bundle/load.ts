@@ -99,14 +99,22 @@ export async function loadBundle(
   ].filter((path) => path !== "");
   const total = wanted.reduce((sum, path) => sum + (sizes.get(path) ?? 0), 0);
   let arrived = 0;
+  const arrive = (bytes: number): void => {
+    arrived += bytes;
+    tell({ kind: "progress", readBytes: arrived, totalBytes: total });
+  };
+  const wholeFiles: Promise<unknown>[] = [];
   const wholes = new Map<string, () => Promise<Uint8Array<ArrayBuffer>>>();
   const counted = async (path: string, bytes = Infinity): Promise<Uint8Array<ArrayBuffer>> => {
-    const { data, whole } =
-      later === null ? { data: await read(path), whole: null } : await begin(path, bytes);
+    const reading =
+      later === null || bytes === Infinity
+        ? read(path).then((all) => ({ data: all, whole: null }))
+        : begin(path, bytes, () => Promise.allSettled(wholeFiles));
+    if (bytes === Infinity) wholeFiles.push(reading);
+    const { data, whole } = await reading;
     if (whole !== null) wholes.set(path, whole);
     // What comes later is not waited for.
-    arrived += whole === null ? data.length : (sizes.get(path) ?? 0);
-    tell({ kind: "progress", readBytes: arrived, totalBytes: total });
+    arrive(whole === null ? data.length : (sizes.get(path) ?? 0));
     return data;
   };
   const trainedMap = async (name: string): Promise<BundlePicture> => {
@@ -120,12 +128,19 @@ export async function loadBundle(
   // The maps first: preparing light takes longest.
   const atlas = (manifest.atlas?.albedoSource ?? "") !== "" ? manifest.atlas : undefined;
   const unseenPath = manifest.atlas?.unseenPath ?? "";
+  const meshRead = counted("mesh/asset.glb").then((data) => ({ data, mesh: meshFromGlb(data) }));
+  // Only a mesh without textures or frames takes its materials from the transport.
+  const skipsMaterial = async (path: string): Promise<boolean> => {
+    if (atlas === undefined || (await meshRead).mesh.frames === null) return false;
+    arrive(sizes.get(path) ?? 0);
+    return true;
+  };
   const [trainedMaps, [mesh, maps], transport, grid, cameras, unseen, previews] = await Promise.all([
     Promise.all(lights.map(trainedMap)),
-    counted("mesh/asset.glb").then(async (data) => {
-      return [meshFromGlb(data), atlas === undefined ? null : await mapsOf(data, atlas, decode)] as const;
+    meshRead.then(async ({ data, mesh }) => {
+      return [mesh, atlas === undefined ? null : await mapsOf(data, atlas, decode)] as const;
     }),
-    readTransport(stated, counted),
+    readTransport(stated, counted, skipsMaterial),
     uncertainty === undefined
       ? null
       : counted(uncertainty.path).then((data) => readUncertainty(uncertainty, data)),

@@ -9,6 +9,10 @@ import { bundleFaults } from "../words/bundleFaults.js";
 
 const manifestLimit = 16 << 20;
 const fileLimit = 512 << 20;
+/**
+ * Share of a file from which its beginning is read out of an answer with all of it: hosts compress that, but no parts.
+ */
+const streamedShare = 0.25;
 /** Texels along a side of the largest atlas that is written. */
 export const maxAtlasSize = 8192;
 const conventions = {
@@ -23,8 +27,11 @@ export type OpenBundle = {
   readonly manifest: BundleManifest;
   /** Return a listed file's bytes, of the stated size and digest; throws BundleFault otherwise. */
   readonly read: (path: string) => Promise<Uint8Array<ArrayBuffer>>;
-  /** Return the first bytes of a listed file, which are checked with the rest of it; all where parts save nothing. */
-  readonly begin: (path: string, bytes: number) => Promise<Beginning>;
+  /**
+   * Return the first bytes of a listed file, which are checked with all of it; all where parts save nothing. A large
+   * share of a file is asked for after `others`, files that are waited for as well: the rest of it comes at once.
+   */
+  readonly begin: (path: string, bytes: number, others: () => Promise<unknown>) => Promise<Beginning>;
 };
 
 /** What is there of a file, and what reads all of it; null where that is all. */
@@ -54,22 +61,20 @@ export async function openBundle(source: FileSource): Promise<OpenBundle> {
     listed(path);
     return checked(path, await source.read(path, fileLimit));
   };
-  const begin = async (path: string, bytes: number): Promise<Beginning> => {
-    const { part } = source;
+  const begin = async (path: string, bytes: number, others: () => Promise<unknown>): Promise<Beginning> => {
+    const { parts } = source;
     const { sizeBytes } = listed(path);
-    if (part === undefined || bytes >= sizeBytes) return { data: await read(path), whole: null };
-    const data = await part(path, 0, bytes, fileLimit);
+    if (parts === undefined || bytes >= sizeBytes) return { data: await read(path), whole: null };
+    if (bytes >= streamedShare * sizeBytes) {
+      await others();
+      const { data, whole } = await parts.stream(path, bytes, fileLimit);
+      whole.catch(() => {}); // Told to whoever waits for it.
+      return { data, whole: async () => checked(path, await whole) };
+    }
+    const data = await parts.head(path, bytes, fileLimit);
     // A host without parts has sent everything.
     if (data.length !== bytes) return { data: await checked(path, data), whole: null };
-    const whole = async (): Promise<Uint8Array<ArrayBuffer>> => {
-      const rest = await part(path, bytes, sizeBytes, fileLimit);
-      if (rest.length !== sizeBytes - bytes) return checked(path, rest);
-      const all = new Uint8Array(sizeBytes);
-      all.set(data);
-      all.set(rest, bytes);
-      return checked(path, all);
-    };
-    return { data, whole };
+    return { data, whole: () => read(path) };
   };
   return { manifest, read, begin };
 }

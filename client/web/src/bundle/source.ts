@@ -12,9 +12,20 @@ export type FileSource = {
   /** All paths, or null where they cannot be listed. */
   readonly paths: ReadonlySet<string> | null;
   readonly read: (path: string, limitBytes: number) => Promise<Bytes>;
-  /** Return bytes `from` up to `to` of a file, or all of it where the host sends no parts; absent where reading is quick. */
-  readonly part?: (path: string, from: number, to: number, limitBytes: number) => Promise<Bytes>;
+  /** What reads a file's beginning first; absent where reading is quick. */
+  readonly parts?: PartialReader;
 };
+
+/** Reads the beginning of a file before the rest of it. */
+export type PartialReader = {
+  /** Return the first bytes of a file alone, uncompressed, or all of it where the host sends no parts. */
+  readonly head: (path: string, bytes: number, limitBytes: number) => Promise<Bytes>;
+  /** Return the first bytes of a file as soon as they are there, and a promise of all of it, which is read on. */
+  readonly stream: (path: string, bytes: number, limitBytes: number) => Promise<Streamed>;
+};
+
+/** A file that is being read: its first bytes, or all where there are fewer, and all of it. */
+export type Streamed = { readonly data: Bytes; readonly whole: Promise<Bytes> };
 
 /** The origin of a bundle; can be sent to a worker. The secret of a share link may follow an address, after "#". */
 export type BundleOrigin =
@@ -65,20 +76,68 @@ function folderSource(given: URL): FileSource {
     base.pathname = `${base.pathname.replace(/\/$/, "")}/files/`;
   }
   if (!base.pathname.endsWith("/")) base.pathname += "/";
-  const get = async (path: string, limitBytes: number, more: Record<string, string> = {}): Promise<Bytes> => {
+  const ask = async (path: string, limitBytes: number, more: Record<string, string> = {}) => {
     const address = new URL(path.split("/").map(encodeURIComponent).join("/"), base);
     const response = await request(address, { ...headers, ...more });
     if (!response.ok) throw refusal(response.status, path, address, secret !== null);
     if (Number(response.headers.get("content-length") ?? 0) > limitBytes) throw tooLarge(path, limitBytes);
-    const data = new Uint8Array(await response.arrayBuffer());
+    return response;
+  };
+  const get = async (path: string, limitBytes: number, more: Record<string, string> = {}): Promise<Bytes> => {
+    const data = new Uint8Array(await (await ask(path, limitBytes, more)).arrayBuffer());
     if (data.length > limitBytes) throw tooLarge(path, limitBytes);
     return data;
   };
   return {
     paths: null,
     read: (path, limitBytes) => get(path, limitBytes),
-    part: (path, from, to, limitBytes) => get(path, limitBytes, { range: `bytes=${from}-${to - 1}` }),
+    parts: {
+      head: (path, bytes, limitBytes) => get(path, limitBytes, { range: `bytes=0-${bytes - 1}` }),
+      stream: async (path, bytes, limitBytes) => {
+        const { data, whole } = await streamed(await ask(path, limitBytes), path, bytes, limitBytes);
+        // A connection that broke behind the beginning: from the start.
+        return { data, whole: whole.catch(() => get(path, limitBytes)) };
+      },
+    },
   };
+}
+
+/** Read the body of an answer; returns at its first `bytes` bytes, or at its end. */
+async function streamed(
+  response: Response,
+  path: string,
+  bytes: number,
+  limitBytes: number,
+): Promise<Streamed> {
+  const reader = response.body!.getReader();
+  const pieces: Uint8Array[] = [];
+  let have = 0;
+  const next = async (): Promise<boolean> => {
+    const { value } = await reader.read();
+    if (value === undefined) return false;
+    have += value.length;
+    if (have > limitBytes) throw tooLarge(path, limitBytes);
+    pieces.push(value);
+    return true;
+  };
+  const joined = (): Bytes => {
+    const all = new Uint8Array(have);
+    let at = 0;
+    for (const piece of pieces) {
+      all.set(piece, at);
+      at += piece.length;
+    }
+    return all;
+  };
+  let more = true;
+  while (more && have < bytes) more = await next();
+  const data = joined().subarray(0, bytes);
+  const rest = async (): Promise<Bytes> => {
+    // Without a pause: answers that nobody reads would keep connections from files that are waited for.
+    while (more) more = await next();
+    return joined();
+  };
+  return { data, whole: rest() };
 }
 
 /** A zip archive at an address: read with range requests where the host supports them, else as a whole. */

@@ -39,13 +39,16 @@ export type PackedTransport = {
   readonly visibility: PlaneTable;
   /** Plane 3 k + c is coefficient k of channel c, over coarse texels. */
   readonly indirect: PlaneTable;
-  /** Albedo (3), perceptual roughness, metalness, world normal (3). */
-  readonly material: PlaneTable;
+  /**
+   * Albedo (3), perceptual roughness, metalness, world normal (3); null where the mesh's textures and frames are the
+   * materials of all that is seen, until `forHits` has read it.
+   */
+  readonly material: PlaneTable | null;
   /** Number of the coarse texel of every texel, as a table. */
   readonly coarseOfTexel: Uint32Array<ArrayBuffer>;
   /** The four coarse texels around every texel; see `blocksAround`. */
   readonly blocksAround: Uint32Array<ArrayBuffer>;
-  /** 256 bits per texel in two layers of four words, lowest bit first; null until `withShadowBits` has read them. */
+  /** 256 bits per texel in two layers of four words, lowest bit first; null until `forHits` has read them. */
   readonly shadowBits: Uint32Array<ArrayBuffer> | null;
 };
 
@@ -84,10 +87,15 @@ export async function finerTables(stated: Transport, read: Reader): Promise<Fine
 }
 
 /**
- * Read and check the transport that a manifest states, but for its shadow bits, which no picture needs at first. Where
- * `read` returns only the first planes of a table, the others are about zero.
+ * Read and check the transport that a manifest states, but for its shadow bits, which no picture needs at first, and for
+ * its materials where `skipsMaterial` is true of their path. Where `read` returns only the first planes of a table, the
+ * others are about zero.
  */
-export async function readTransport(stated: Transport, read: HeadReader): Promise<PackedTransport> {
+export async function readTransport(
+  stated: Transport,
+  read: HeadReader,
+  skipsMaterial: (path: string) => Promise<boolean>,
+): Promise<PackedTransport> {
   const { size } = stated;
   if (!(size >= 1 && size <= maxAtlasSize)) throw invalid(bundleFaults.atlasSize(size));
   const texelIndex = coveredTexels(await read(stated.texelsPath, Infinity), size);
@@ -97,21 +105,18 @@ export async function readTransport(stated: Transport, read: HeadReader): Promis
   }
   const { numCoarse, coarseOfTexel } = coarseTexels(texelIndex, size);
   const load = async (name: keyof typeof sets): Promise<PlaneTable> => {
-    const planes = stated.planes.find((each) => each.name === name);
-    if (planes === undefined) throw invalid(bundleFaults.noPlanes(name));
-    const [channels, most, first] = sets[name];
-    if (planes.channels !== channels || !(planes.bands >= 1 && planes.bands <= most)) {
-      throw invalid(bundleFaults.planes(name, planes.bands, planes.channels));
-    }
+    const planes = statedPlanes(stated, name);
+    const [channels, , first] = sets[name];
     const texels = name === "indirect" ? numCoarse : numTexels;
     const head = planes.bands > first ? first ** 2 * channels * texels : Infinity;
     return packPlanes(planes, await read(planes.path, head), texels, head);
   };
-  const [direct, visibility, indirect, material] = await Promise.all([
-    load("direct"),
-    load("visibility"),
+  // Those that are read in part come after the others.
+  const [indirect, material, visibility, direct] = await Promise.all([
     load("indirect"),
-    load("material"),
+    skipsMaterial(statedPlanes(stated, "material").path).then((skips) => (skips ? null : load("material"))),
+    load("visibility"),
+    load("direct"),
   ]);
   if (indirect.bands > direct.bands) throw invalid(bundleFaults.moreIndirect);
   if (stated.shadowBitsPath !== "" && stated.numShadowDirections !== numShadowDirections) {
@@ -132,15 +137,35 @@ export async function readTransport(stated: Transport, read: HeadReader): Promis
   };
 }
 
-/** Return a transport with its shadow bits; without any where the manifest states none. */
-export async function withShadowBits(
+/** A transport with what only light from the surface itself needs. */
+export type HitTransport = PackedTransport & { readonly material: PlaneTable };
+
+/** Return a transport with its materials and its shadow bits; without bits where the manifest states none. */
+export async function forHits(
   transport: PackedTransport,
   stated: Transport,
   read: Reader,
-): Promise<PackedTransport> {
-  if (stated.shadowBitsPath === "") return transport;
-  const data = await read(stated.shadowBitsPath);
-  return { ...transport, shadowBits: packShadowBits(data, transport.numTexels) };
+): Promise<HitTransport> {
+  const { numTexels } = transport;
+  const readMaterial = async (): Promise<PlaneTable> => {
+    const planes = statedPlanes(stated, "material");
+    return packPlanes(planes, await read(planes.path), numTexels, Infinity);
+  };
+  const readBits = async () =>
+    stated.shadowBitsPath === "" ? null : packShadowBits(await read(stated.shadowBitsPath), numTexels);
+  const [material, shadowBits] = await Promise.all([transport.material ?? readMaterial(), readBits()]);
+  return { ...transport, material, shadowBits };
+}
+
+/** Return what a manifest states of planes, checked. */
+function statedPlanes(stated: Transport, name: keyof typeof sets): TransportPlanes {
+  const planes = stated.planes.find((each) => each.name === name);
+  if (planes === undefined) throw invalid(bundleFaults.noPlanes(name));
+  const [channels, most] = sets[name];
+  if (planes.channels !== channels || !(planes.bands >= 1 && planes.bands <= most)) {
+    throw invalid(bundleFaults.planes(name, planes.bands, planes.channels));
+  }
+  return planes;
 }
 
 /** Return the places of covered texels, rising, from one bit per place, lowest first. */

@@ -30,6 +30,51 @@ export interface components {
         ArtifactList: {
             /** Items */
             items: components["schemas"]["Artifact"][];
+            /** Next Cursor */
+            next_cursor: string | null;
+        };
+        /**
+         * AuditEntry
+         * @description Something that somebody did, or was not allowed to do.
+         */
+        AuditEntry: {
+            /** Action */
+            action: string;
+            /** Actor Id */
+            actor_id: string;
+            /**
+             * Actor Kind
+             * @enum {string}
+             */
+            actor_kind: "key" | "session" | "user" | "link" | "operator" | "nobody";
+            /** Address */
+            address: string;
+            /** At */
+            at: string;
+            /** Details */
+            details: {
+                [key: string]: components["schemas"]["JsonValue"];
+            };
+            /** Hash */
+            hash: string;
+            /** Id */
+            id: string;
+            /** Outcome */
+            outcome: string;
+            /** Request Id */
+            request_id: string;
+            /** Target */
+            target: string;
+        };
+        /**
+         * AuditEntryList
+         * @description One page of the audit log, newest first.
+         */
+        AuditEntryList: {
+            /** Items */
+            items: components["schemas"]["AuditEntry"][];
+            /** Next Cursor */
+            next_cursor: string | null;
         };
         /**
          * Batch
@@ -81,6 +126,8 @@ export interface components {
         BatchArtifactList: {
             /** Items */
             items: components["schemas"]["BatchArtifact"][];
+            /** Next Cursor */
+            next_cursor: string | null;
         };
         /**
          * BatchList
@@ -103,6 +150,10 @@ export interface components {
             id: string;
             /** Job Id */
             job_id: string;
+            /** Labels */
+            labels: {
+                [key: string]: string;
+            };
             /** Num Files */
             num_files: number;
             /** Scene Id */
@@ -113,6 +164,16 @@ export interface components {
             size_bytes: number;
             /** Thumbnail Url */
             thumbnail_url: string | null;
+        };
+        /**
+         * BundleChange
+         * @description What to change of a bundle.
+         */
+        BundleChange: {
+            /** Labels */
+            labels?: {
+                [key: string]: string | null;
+            } | null;
         };
         /**
          * BundleDetail
@@ -127,6 +188,10 @@ export interface components {
             id: string;
             /** Job Id */
             job_id: string;
+            /** Labels */
+            labels: {
+                [key: string]: string;
+            };
             /** Num Files */
             num_files: number;
             /** Scene Id */
@@ -213,13 +278,104 @@ export interface components {
             /** Id */
             id: string;
             /** Key */
-            key: string;
+            key: string | null;
             /** Last Used At */
             last_used_at: string | null;
             /** Name */
             name: string;
             /** Revoked At */
             revoked_at: string | null;
+            /** Scopes */
+            scopes: ("read" | "submit" | "render" | "admin")[];
+            /** User Id */
+            user_id: string | null;
+        };
+        /**
+         * CreatedWebhook
+         * @description A subscription with its secret, which no other answer contains.
+         */
+        CreatedWebhook: {
+            /** Created At */
+            created_at: string;
+            /**
+             * Disabled Reason
+             * @enum {string}
+             */
+            disabled_reason: "" | "asked" | "gone";
+            /** Enabled */
+            enabled: boolean;
+            /** Events */
+            events: ("job.queued" | "job.running" | "job.cancelling" | "job.retry_wait" | "job.succeeded" | "job.failed" | "job.cancelled")[];
+            /** Id */
+            id: string;
+            /** Labels */
+            labels: {
+                [key: string]: string;
+            };
+            /** Name */
+            name: string;
+            /** Secret */
+            secret: string;
+            /** Url */
+            url: string;
+        };
+        /**
+         * Delivery
+         * @description One message to a receiver; its id is the header `webhook-id` of every attempt.
+         */
+        Delivery: {
+            /** Attempts */
+            attempts: components["schemas"]["DeliveryAttempt"][];
+            /** Created At */
+            created_at: string;
+            /** Ended At */
+            ended_at: string | null;
+            /**
+             * Event
+             * @enum {string}
+             */
+            event: "job.queued" | "job.running" | "job.cancelling" | "job.retry_wait" | "job.succeeded" | "job.failed" | "job.cancelled" | "ping";
+            /** Id */
+            id: string;
+            /** Job Id */
+            job_id: string | null;
+            /** Next At */
+            next_at: string | null;
+            /** Num Attempts */
+            num_attempts: number;
+            /**
+             * State
+             * @enum {string}
+             */
+            state: "pending" | "delivered" | "failed";
+            /** Url */
+            url: string;
+            /** Webhook Id */
+            webhook_id: string | null;
+        };
+        /**
+         * DeliveryAttempt
+         * @description One attempt to deliver.
+         */
+        DeliveryAttempt: {
+            /** At */
+            at: string;
+            /** Error */
+            error: string;
+            /** Seconds */
+            seconds: number;
+            /** Status */
+            status: number | null;
+        };
+        /**
+         * DeliveryList
+         * @description One page of deliveries, newest first.
+         */
+        DeliveryList: {
+            /** Items */
+            items: components["schemas"]["Delivery"][];
+            /** Next Cursor */
+            next_cursor: string | null;
         };
         /**
          * Environment
@@ -255,6 +411,8 @@ export interface components {
         EnvironmentList: {
             /** Items */
             items: components["schemas"]["Environment"][];
+            /** Next Cursor */
+            next_cursor: string | null;
         };
         /**
          * Estimate
@@ -309,6 +467,22 @@ export interface components {
         EventList: {
             /** Items */
             items: components["schemas"]["Event"][];
+            /** Next Cursor */
+            next_cursor: string | null;
+        };
+        /**
+         * FileUpload
+         * @description What is still to be sent of a file; report its completion afterwards.
+         */
+        FileUpload: {
+            /** Expires At */
+            expires_at: string;
+            /** Parts */
+            parts: components["schemas"]["UploadPart"][];
+            /** Sha256 */
+            sha256: string;
+            /** Size Bytes */
+            size_bytes: number;
         };
         /**
          * Finding
@@ -332,11 +506,8 @@ export interface components {
          * @description Whether the server is alive, and the state of its parts.
          */
         Health: {
-            /**
-             * Checks
-             * @default {}
-             */
-            checks: {
+            /** Checks */
+            checks?: {
                 [key: string]: string;
             };
             /**
@@ -402,6 +573,20 @@ export interface components {
             state: "queued" | "running" | "cancelling" | "retry_wait" | "succeeded" | "failed" | "cancelled";
             /** Thumbnail Url */
             thumbnail_url: string | null;
+            /** Webhook */
+            webhook: string | null;
+        };
+        /**
+         * JobChange
+         * @description What to change of a job.
+         */
+        JobChange: {
+            /** Labels */
+            labels?: {
+                [key: string]: string | null;
+            } | null;
+            /** Priority */
+            priority?: number | null;
         };
         /**
          * JobError
@@ -427,6 +612,7 @@ export interface components {
             /** Next Cursor */
             next_cursor: string | null;
         };
+        JsonValue: unknown;
         /**
          * Key
          * @description A key, without the secret itself.
@@ -444,6 +630,10 @@ export interface components {
             name: string;
             /** Revoked At */
             revoked_at: string | null;
+            /** Scopes */
+            scopes: ("read" | "submit" | "render" | "admin")[];
+            /** User Id */
+            user_id: string | null;
         };
         /**
          * KeyList
@@ -452,6 +642,8 @@ export interface components {
         KeyList: {
             /** Items */
             items: components["schemas"]["Key"][];
+            /** Next Cursor */
+            next_cursor: string | null;
         };
         /**
          * Limits
@@ -478,6 +670,8 @@ export interface components {
             max_scene_files: number;
             /** Max Wait S */
             max_wait_s: number;
+            /** Quotas */
+            quotas: components["schemas"]["Quota"][];
             /** Scene Suffixes */
             scene_suffixes: string[];
         };
@@ -498,6 +692,44 @@ export interface components {
             expires_at: string;
             /** Url */
             url: string;
+        };
+        /**
+         * Me
+         * @description Who makes this request.
+         */
+        Me: {
+            /**
+             * Kind
+             * @enum {string}
+             */
+            kind: "key" | "session" | "user" | "link" | "operator" | "nobody";
+            /** Name */
+            name: string;
+            /** Organisation */
+            organisation: string;
+            /** Organisation Name */
+            organisation_name: string;
+            /** Organisations */
+            organisations: components["schemas"]["Membership"][];
+            /** Scopes */
+            scopes: ("read" | "submit" | "render" | "admin")[];
+            /** User Id */
+            user_id: string | null;
+        };
+        /**
+         * Membership
+         * @description An organisation that a user belongs to.
+         */
+        Membership: {
+            /** Id */
+            id: string;
+            /** Name */
+            name: string;
+            /**
+             * Role
+             * @enum {string}
+             */
+            role: "viewer" | "editor" | "admin";
         };
         /**
          * NewBatch
@@ -543,7 +775,7 @@ export interface components {
         };
         /**
          * NewJob
-         * @description A job to submit for a scene; mirrors lambent_proto.v1.JobSpec.
+         * @description A job to submit for a scene.
          */
         NewJob: {
             /** Gpus */
@@ -587,6 +819,8 @@ export interface components {
              * @default 0
              */
             seed: number;
+            /** Webhook */
+            webhook?: string | null;
         };
         /**
          * NewKey
@@ -597,6 +831,8 @@ export interface components {
             expires_in_s?: number | null;
             /** Name */
             name: string;
+            /** Scopes */
+            scopes?: ("read" | "submit" | "render" | "admin")[] | null;
         };
         /**
          * NewRender
@@ -631,6 +867,10 @@ export interface components {
          * @description A scene to upload files to.
          */
         NewScene: {
+            /** Labels */
+            labels?: {
+                [key: string]: string;
+            };
             /** Name */
             name: string;
         };
@@ -646,6 +886,43 @@ export interface components {
             expires_in_s: number;
             /** Frame Ancestors */
             frame_ancestors?: string[];
+        };
+        /**
+         * NewWebhook
+         * @description A standing subscription to changes of jobs.
+         */
+        NewWebhook: {
+            /** Events */
+            events?: ("job.queued" | "job.running" | "job.cancelling" | "job.retry_wait" | "job.succeeded" | "job.failed" | "job.cancelled")[];
+            /** Labels */
+            labels?: {
+                [key: string]: string;
+            };
+            /**
+             * Name
+             * @default webhook
+             */
+            name: string;
+            /** Url */
+            url: string;
+        };
+        /**
+         * Notice
+         * @description Something that operators have told all servers.
+         */
+        Notice: {
+            /** Message */
+            message: string;
+            /** Since */
+            since: string;
+        };
+        /**
+         * Notices
+         * @description What operators have told all servers; null: nothing of the kind.
+         */
+        Notices: {
+            drain: components["schemas"]["Notice"] | null;
+            maintenance: components["schemas"]["Notice"] | null;
         };
         /**
          * OpenedShare
@@ -684,6 +961,8 @@ export interface components {
             missing: string[];
             /** Unsupported */
             unsupported: string[];
+            /** Uploads */
+            uploads: components["schemas"]["FileUpload"][];
         };
         /**
          * PlannedFile
@@ -791,6 +1070,55 @@ export interface components {
             step: number;
             /** Steps Per S */
             steps_per_s: number;
+        };
+        /**
+         * Provenance
+         * @description A DSSE envelope with an in-toto statement.
+         */
+        Provenance: {
+            /** Payload */
+            payload: string;
+            /** Payloadtype */
+            payloadType: string;
+            /** Signatures */
+            signatures: components["schemas"]["Signature"][];
+        };
+        /**
+         * ProvenanceKey
+         * @description The key that verifies what this server signs.
+         */
+        ProvenanceKey: {
+            /** Keyid */
+            keyid: string;
+            /** Public Key Pem */
+            public_key_pem: string;
+        };
+        /**
+         * Quota
+         * @description What an organisation may use of something, and what it uses.
+         */
+        Quota: {
+            /** Limit */
+            limit: number | null;
+            /**
+             * Name
+             * @enum {string}
+             */
+            name: "max_bytes" | "max_queued_jobs" | "max_gpu_minutes";
+            /** Used */
+            used: number;
+        };
+        /**
+         * RefusedFile
+         * @description A file that was not taken over.
+         */
+        RefusedFile: {
+            /** Code */
+            code: string;
+            /** Detail */
+            detail: string;
+            /** Sha256 */
+            sha256: string;
         };
         /**
          * RenderAsset
@@ -1044,6 +1372,10 @@ export interface components {
             created_at: string;
             /** Id */
             id: string;
+            /** Labels */
+            labels: {
+                [key: string]: string;
+            };
             /** Layout */
             layout: string | null;
             /** Name */
@@ -1059,6 +1391,18 @@ export interface components {
             state: "open" | "uploaded" | "ready" | "rejected";
             /** Thumbnail Url */
             thumbnail_url: string | null;
+        };
+        /**
+         * SceneChange
+         * @description What to change of a scene.
+         */
+        SceneChange: {
+            /** Labels */
+            labels?: {
+                [key: string]: string | null;
+            } | null;
+            /** Name */
+            name?: string | null;
         };
         /**
          * SceneList
@@ -1121,6 +1465,8 @@ export interface components {
         ShareList: {
             /** Items */
             items: components["schemas"]["Share"][];
+            /** Next Cursor */
+            next_cursor: string | null;
         };
         /**
          * ShareToken
@@ -1129,6 +1475,78 @@ export interface components {
         ShareToken: {
             /** Token */
             token: string;
+        };
+        /**
+         * Signature
+         * @description A signature of a statement.
+         */
+        Signature: {
+            /** Keyid */
+            keyid: string;
+            /** Public Key */
+            public_key: string;
+            /** Sig */
+            sig: string;
+        };
+        /**
+         * SigningSecret
+         * @description The secret that signs the deliveries that jobs ask for themselves.
+         */
+        SigningSecret: {
+            /** Secret */
+            secret: string;
+        };
+        /**
+         * Switch
+         * @description The organisation to go on with.
+         */
+        Switch: {
+            /** Organisation */
+            organisation: string;
+        };
+        /**
+         * TakenFiles
+         * @description Which files the server has taken over.
+         */
+        TakenFiles: {
+            /** Refused */
+            refused: components["schemas"]["RefusedFile"][];
+            /** Stored */
+            stored: string[];
+        };
+        /**
+         * UploadList
+         * @description Where to send files.
+         */
+        UploadList: {
+            /** Items */
+            items: components["schemas"]["FileUpload"][];
+        };
+        /**
+         * UploadPart
+         * @description A range of a file, and the address to PUT it to, which needs no other authentication.
+         */
+        UploadPart: {
+            /** Headers */
+            headers: {
+                [key: string]: string;
+            };
+            /** Number */
+            number: number;
+            /** Offset */
+            offset: number;
+            /** Size Bytes */
+            size_bytes: number;
+            /** Url */
+            url: string;
+        };
+        /**
+         * UploadedFiles
+         * @description Hashes of planned files.
+         */
+        UploadedFiles: {
+            /** Sha256 */
+            sha256: string[];
         };
         /**
          * Version
@@ -1145,6 +1563,8 @@ export interface components {
              * @constant
              */
             name: "lambent";
+            /** Sign In Url */
+            sign_in_url: string | null;
             /** Version */
             version: string;
         };
@@ -1188,6 +1608,61 @@ export interface components {
             split: "" | "train" | "test";
             /** Unexplained Share */
             unexplained_share: number;
+        };
+        /**
+         * Webhook
+         * @description A standing subscription, without its secret.
+         */
+        Webhook: {
+            /** Created At */
+            created_at: string;
+            /**
+             * Disabled Reason
+             * @enum {string}
+             */
+            disabled_reason: "" | "asked" | "gone";
+            /** Enabled */
+            enabled: boolean;
+            /** Events */
+            events: ("job.queued" | "job.running" | "job.cancelling" | "job.retry_wait" | "job.succeeded" | "job.failed" | "job.cancelled")[];
+            /** Id */
+            id: string;
+            /** Labels */
+            labels: {
+                [key: string]: string;
+            };
+            /** Name */
+            name: string;
+            /** Url */
+            url: string;
+        };
+        /**
+         * WebhookChange
+         * @description What to change of a subscription; what is not given stays.
+         */
+        WebhookChange: {
+            /** Enabled */
+            enabled?: boolean | null;
+            /** Events */
+            events?: ("job.queued" | "job.running" | "job.cancelling" | "job.retry_wait" | "job.succeeded" | "job.failed" | "job.cancelled")[] | null;
+            /** Labels */
+            labels?: {
+                [key: string]: string | null;
+            } | null;
+            /** Name */
+            name?: string | null;
+            /** Url */
+            url?: string | null;
+        };
+        /**
+         * WebhookList
+         * @description One page of subscriptions, newest first.
+         */
+        WebhookList: {
+            /** Items */
+            items: components["schemas"]["Webhook"][];
+            /** Next Cursor */
+            next_cursor: string | null;
         };
     };
     responses: never;

@@ -12,11 +12,31 @@ export function codeIn(text: string): string | null {
   return /^[\w-]{8,200}$/.test(code) ? code : null;
 }
 
+/** Return what to say about a sign-in that the address names as failed; null where it names none. */
+export function failedSignIn(hash: string): string | null {
+  const code = new URLSearchParams(hash.slice(1)).get("sign-in");
+  if (code === null) return null;
+  return code === "sign_in_refused" ? texts.locked.signInRefused : texts.locked.signInFailed;
+}
+
+/** Return the link to where people sign in, or null where the server has none. */
+async function signInLink(api: Pick<Api, "version">): Promise<HTMLElement | null> {
+  const { sign_in_url: address } = await api.version();
+  if (address === null || !address.startsWith("/")) return null;
+  return h(
+    "div",
+    {},
+    h("p", {}, h("a", { href: address, class: "button first" }, texts.locked.signIn)),
+    h("p", {}, texts.locked.orLink),
+  );
+}
+
 /** Return the view; `loggedIn` is called once the server has let this browser in. */
 export function lockedView(
-  api: Pick<Api, "logIn">,
+  api: Pick<Api, "logIn" | "version">,
   fail: (error: unknown) => void,
   loggedIn: () => void,
+  failed: string | null = null,
 ): View {
   const link = h("input", {
     type: "text",
@@ -25,7 +45,11 @@ export function lockedView(
     autocomplete: "off",
     spellcheck: "false",
   });
-  const problem = h("p", { class: "notice bad", role: "alert", hidden: true });
+  const problem = h("p", { class: "notice bad", role: "alert", hidden: failed === null }, failed);
+  const people = h("div");
+  signInLink(api)
+    .then((element) => element !== null && people.append(element))
+    .catch(fail);
 
   async function enter(): Promise<void> {
     const code = codeIn(link.value);
@@ -54,6 +78,7 @@ export function lockedView(
       { class: "locked" },
       h("h1", { tabindex: -1 }, texts.locked.title),
       h("p", {}, texts.locked.notLoggedIn),
+      people,
       h(
         "form",
         { onsubmit: submit },

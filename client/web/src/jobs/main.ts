@@ -6,10 +6,12 @@ import { placeOf } from "../page/addresses.js";
 import { h, setText } from "../page/dom.js";
 import { removalNotices, Removals } from "../page/removals.js";
 import { createApi, Refused } from "../page/rest.js";
+import { showAccount } from "./account.js";
 import { createUploads } from "../upload/uploads.js";
 import { jobView } from "./jobView.js";
-import { lockedView } from "./lockedView.js";
+import { failedSignIn, lockedView } from "./lockedView.js";
 import { masksView } from "./masksView.js";
+import { noticeText } from "./notices.js";
 import { sceneView } from "./sceneView.js";
 import { startView } from "./startView.js";
 import { JobStore } from "./store.js";
@@ -48,7 +50,8 @@ function lock(): void {
   setText(connection, texts.locked.status);
   logOut.remove();
   message.hidden = true;
-  put(lockedView(api, context.fail, () => location.reload()));
+  account.remove();
+  put(lockedView(api, context.fail, () => location.reload(), failedSignIn(location.hash)));
 }
 
 async function show(): Promise<void> {
@@ -103,9 +106,26 @@ const logOut = button(texts.locked.logOut, context, async () => {
   location.reload();
 });
 
+const account = h("span", { class: "account" });
+
+const notices = document.querySelector<HTMLElement>("#notices")!;
+
+async function showNotices(): Promise<void> {
+  const text = noticeText(await api.notices());
+  notices.textContent = text;
+  notices.hidden = text === "";
+}
+
 function showConnection(connected: boolean): void {
   if (isLocked) return;
-  if (connected) connection.after(logOut);
+  if (connected && !logOut.isConnected) {
+    connection.after(account, logOut);
+    showAccount(account, context, () => {
+      location.hash = "#/";
+      location.reload();
+    }).catch(fail);
+  }
+  if (connected) showNotices().catch(fail);
   setText(connection, connected ? texts.connection.live : texts.connection.away);
   if (connected && wasAway) shown?.update?.(null);
   wasAway = !connected;

@@ -68,7 +68,7 @@ export async function masksView(context: Context, sceneId: string, openEditor?: 
       return;
     }
     setText(status, "");
-    close = editor.close;
+    close = () => editor.close();
     content.replaceChildren(editor.element);
   }
 

@@ -145,6 +145,13 @@ function metricTable(report: Report): HTMLElement[] {
   return [fold(figures, table(rows, figures, figure(report.num_views ?? 0)))];
 }
 
+/** Return a name of a figure, such as "albedo_rgb_ratio/psnr_gamma", which breaks after its signs and not in its words. */
+function breakable(name: string): Node[] {
+  return name
+    .split(/(?<=[/_])/)
+    .flatMap((piece, place) => [...(place > 0 ? [h("wbr")] : []), document.createTextNode(piece)]);
+}
+
 function table(rows: readonly [string, string, string][], label: string, figure: string): HTMLElement {
   const head = [
     h("th", { scope: "col" }, figure),
@@ -155,7 +162,7 @@ function table(rows: readonly [string, string, string][], label: string, figure:
     h(
       "tr",
       {},
-      h("th", { scope: "row" }, name),
+      h("th", { scope: "row" }, ...breakable(name)),
       h("td", { class: "number" }, value),
       h("td", { class: "number" }, error),
     ),

@@ -62,14 +62,15 @@ export async function follow({ api, onMessage, onConnection, signal }: Following
         const { messages, rest } = parse(text + piece);
         text = rest;
         for (const message of messages) {
-          last = message.id.length > longestId ? "" : message.id;
+          // Of many snapshots only the last one has an id.
+          if (message.id !== "") last = message.id.length > longestId ? "" : message.id;
           onMessage(message);
         }
       }
     } catch (error) {
       if (error instanceof Refused && error.status === 401) throw error;
       // Positions that the server cannot use (any more): begin with snapshots.
-      if (error instanceof Refused && error.status < 500) last = "";
+      if (error instanceof Refused && error.status < 500 && error.status !== 429) last = "";
     } finally {
       connection.close();
     }

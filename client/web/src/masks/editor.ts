@@ -115,6 +115,9 @@ class MaskEditor implements Editor {
   close(): void {
     this.#applier.stop();
     this.#over.abort();
+    this.#open = null;
+    this.#pad.clear();
+    this.#grid.close();
     clearInterval(this.#ticking);
   }
 
@@ -165,12 +168,10 @@ class MaskEditor implements Editor {
     this.#large.scrollIntoView({ block: "nearest" });
     this.#pad.element.focus({ preventScroll: true });
     const { backend } = this.context;
-    const stillOpen = (act: () => void) => {
-      if (this.#open === frame) act();
-    };
     const picture = async () => {
       const bitmap = await createImageBitmap(await backend.picture(frame.name, largeSide));
-      stillOpen(() => this.#pad.picture(bitmap));
+      if (this.#open === frame) this.#pad.picture(bitmap);
+      else bitmap.close();
     };
     Promise.all([picture(), this.#drawOpen()]).catch(this.context.fail);
   }
@@ -189,6 +190,7 @@ class MaskEditor implements Editor {
     const frame = this.#open;
     if (frame === null) return;
     this.#pad.cancel();
+    this.#pad.clear();
     this.#open = null;
     this.#large.hidden = true;
     this.#grid.current(null);

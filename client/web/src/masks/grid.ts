@@ -39,6 +39,7 @@ type Cell = {
 export class Grid {
   readonly element = h("ol", { class: "shots", "aria-label": texts.masks.all });
   readonly #cells = new Map<string, Cell>();
+  #isClosed = false;
 
   constructor(
     private readonly backend: MaskBackend,
@@ -61,15 +62,30 @@ export class Grid {
       const cell = this.#cells.get(name)!;
       cell.asked += 1;
       const mine = cell.asked;
-      const [picture, mask] = await Promise.all([
-        cell.picture ?? this.backend.picture(name, thumbnailSide).then((blob) => createImageBitmap(blob)),
+      const [mask] = await Promise.all([
         this.backend.mask(name).then((blob) => createImageBitmap(blob)),
+        this.#load(name, cell),
       ]);
-      cell.picture = picture;
       // A later question may have been answered first.
-      if (cell.asked === mine) drawThumbnail(cell.canvas, picture, mask);
+      if (cell.asked === mine && cell.picture !== null) drawThumbnail(cell.canvas, cell.picture, mask);
       mask.close();
     });
+  }
+
+  /** Let go of the pictures; what was drawn stays. */
+  close(): void {
+    this.#isClosed = true;
+    for (const cell of this.#cells.values()) {
+      cell.picture?.close();
+      cell.picture = null;
+    }
+  }
+
+  async #load(name: string, cell: Cell): Promise<void> {
+    if (cell.picture !== null) return;
+    const picture = await createImageBitmap(await this.backend.picture(name, thumbnailSide));
+    if (this.#isClosed || cell.picture !== null) picture.close();
+    else cell.picture = picture;
   }
 
   /** Say which photographs are doubtful and how many marks are on each. */

@@ -58,17 +58,25 @@ export class Pad {
 
   /** Show another photograph, whole; its picture and mask come later. */
   open(frame: Frame): void {
+    this.clear();
     this.#frame = frame;
-    this.#picture = null;
-    this.#overlay = null;
-    this.#points = null;
-    this.#cursor = null;
     this.element.style.aspectRatio = `${frame.width} / ${frame.height}`;
     this.element.setAttribute("aria-label", texts.masks.canvas(frame.name));
     this.whole();
   }
 
+  /** Let go of the photograph. */
+  clear(): void {
+    this.#picture?.close();
+    this.#picture = null;
+    this.#overlay = null;
+    this.#points = null;
+    this.#cursor = null;
+  }
+
+  /** Show the open photograph's picture, which is closed here. */
   picture(picture: ImageBitmap): void {
+    this.#picture?.close();
     this.#picture = picture;
     this.draw();
   }

@@ -15,8 +15,10 @@ export type Estimate = Schemas["Estimate"];
 export type Bundle = Schemas["Bundle"];
 export type BundleDetail = Schemas["BundleDetail"];
 export type Artifact = Schemas["Artifact"];
+export type Me = Schemas["Me"];
 export type Share = Schemas["Share"];
 export type PlannedFile = Schemas["PlannedFile"];
+export type FileUpload = Schemas["FileUpload"];
 
 /** Everything that was refused: the server's problem document (RFC 9457). */
 export class Refused extends Error {
@@ -97,6 +99,9 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
 
   return {
     logIn: (code: string) => json<null>("POST", "/v1/login", { code }),
+    version: () => json<Schemas["Version"]>("GET", "/v1/version"),
+    me: () => json<Me>("GET", "/v1/me"),
+    switchTo: (organisation: string) => json<Me>("POST", "/v1/me:switch", { organisation }),
     logOut: () => json<null>("POST", "/v1/logout"),
     scenes: (cursor: string | null = null) =>
       json<Schemas["SceneList"]>("GET", list("/v1/scenes", 50, cursor)),
@@ -114,6 +119,27 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
         signal,
         headers: { "content-type": "application/octet-stream" },
       }),
+    /** Addresses of the store for planned files. */
+    offerUploads: (id: string, sha256: readonly string[]) =>
+      json<Schemas["UploadList"]>("POST", `/v1/scenes/${id}/files:uploads`, { sha256 }),
+    /** Let the server take over files that were sent there. */
+    completeUploads: (id: string, sha256: readonly string[]) =>
+      json<Schemas["TakenFiles"]>("POST", `/v1/scenes/${id}/files:complete`, { sha256 }),
+    /** Send a file, or a part of one, to an address of the store, and return the status of its answer. */
+    putToStore: async (
+      url: string,
+      headers: Readonly<Record<string, string>>,
+      body: Blob,
+      signal: AbortSignal,
+    ) => {
+      try {
+        // Nothing of this site goes there: the address is all it needs.
+        return (await send(url, { method: "PUT", body, headers, signal, credentials: "omit" })).status;
+      } catch (error) {
+        if (signal.aborted) throw error;
+        throw new Unreachable(texts.page.noServerShort);
+      }
+    },
     putArchive: async (id: string, body: Blob, mediaType: string, signal: AbortSignal) => {
       const headers = { "content-type": mediaType };
       const response = await request("PUT", `/v1/scenes/${id}/archive`, { body, signal, headers });
@@ -125,6 +151,7 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
     deleteBundle: (id: string, keepalive = false) => remove(`/v1/bundles/${id}`, keepalive),
     presets: () => json<Schemas["PresetList"]>("GET", "/v1/presets"),
     limits: () => json<Schemas["Limits"]>("GET", "/v1/limits"),
+    notices: () => json<Schemas["Notices"]>("GET", "/v1/notices"),
     estimate: (preset: string) => json<Estimate>("POST", "/v1/estimates", { preset }),
     /** `given` narrows the list, as the parameters of the server do. */
     jobs: (cursor: string | null = null, given = new URLSearchParams()) =>

@@ -5,7 +5,7 @@
  */
 
 import type { AtlasMesh } from "../bundle/mesh.js";
-import { type PackedTransport, tableWidth } from "../bundle/transport.js";
+import { type HitTransport, tableWidth } from "../bundle/transport.js";
 import { basis } from "../engine/harmonics.js";
 import { ggxBands, numLobeSteps } from "../engine/lobes.js";
 import { splitSum, splitSumTable } from "../engine/splitSum.js";
@@ -32,7 +32,7 @@ export class HitScene {
   #nearest: NearestPoint | null = null;
 
   constructor(
-    readonly transport: PackedTransport,
+    readonly transport: HitTransport,
     private readonly mesh: AtlasMesh,
   ) {
     this.materials = texelMaterials(transport);

@@ -2,7 +2,7 @@
 
 import type { AtlasMesh } from "../bundle/mesh.js";
 import type { BundleOrigin } from "../bundle/source.js";
-import type { PackedTransport } from "../bundle/transport.js";
+import type { HitTransport, PackedTransport } from "../bundle/transport.js";
 import type { PreparedLight } from "../light/prepare.js";
 import type { RefinedPicture } from "./accumulation.js";
 import type { PixelFeatures } from "./denoise.js";
@@ -30,8 +30,8 @@ export type WorkerShare = {
   readonly ports: readonly MessagePort[];
 };
 
-/** What the first worker has read for the others; null where the bundle has none. */
-export type SharedBits = { readonly shadowBits: Uint32Array<ArrayBuffer> | null };
+/** What the first worker has read for the others. */
+export type SharedTables = Pick<HitTransport, "material" | "shadowBits">;
 
 /** Passes that a worker sends to the first one. */
 export type SharedPass = { readonly id: number; readonly means: PassMeans };

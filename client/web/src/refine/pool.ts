@@ -10,8 +10,8 @@ import { deviceFaults } from "../words/deviceFaults.js";
 const mostWorkers = 4;
 /** Bytes that all workers may hold of a bundle. */
 export const mostBytes = 2 ** 30;
-/** Bytes that each of them computes for a texel: shadow bits, materials, and light. */
-const bytesPerTexel = 160;
+/** Bytes that each of them reads or computes for a texel: shadow bits, materials, and light. */
+const bytesPerTexel = 168;
 
 type Held = Pick<OpenQuestion, "mesh" | "transport">;
 

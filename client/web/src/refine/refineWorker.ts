@@ -3,7 +3,7 @@
 import { BundleFault } from "../bundle/fault.js";
 import { openBundle } from "../bundle/manifest.js";
 import { openSource } from "../bundle/source.js";
-import { withShadowBits } from "../bundle/transport.js";
+import { forHits } from "../bundle/transport.js";
 import { bouncedCoefficients, type FallingLight } from "../engine/fallingLight.js";
 import { buffersOf, sharedCopy } from "../page/buffers.js";
 import type { PreparedLight } from "../light/prepare.js";
@@ -15,8 +15,8 @@ import type {
   OpenQuestion,
   RefineAnswer,
   RefineQuestion,
-  SharedBits,
   SharedPass,
+  SharedTables,
   StartQuestion,
   WorkerShare,
 } from "./messages.js";
@@ -74,35 +74,36 @@ async function open(question: OpenQuestion): Promise<void> {
   if (share.index > 0) {
     const tracer = openMesh(mesh, transport);
     // The first one reads what there is to read.
-    const { shadowBits } = await bitsFrom(share.ports[0]!);
-    opened = { tracer, scene: new HitScene({ ...transport, shadowBits }, mesh), share };
+    const tables = await tablesFrom(share.ports[0]!);
+    opened = { tracer, scene: new HitScene({ ...transport, ...tables }, mesh), share };
     answer({ kind: "opened", backend: tracer.backend, note: "", slow: tracer.slow });
     return;
   }
   const { origin, sceneId, backend } = question;
   const files = await openBundle(await openSource(origin));
   const { manifest } = files;
-  if (manifest.sceneId !== sceneId) {
+  const stated = manifest.transport;
+  if (manifest.sceneId !== sceneId || stated === undefined) {
     throw new BundleFault("bundle.digest_mismatch", ...bundleFaults.changed());
   }
-  const stated = manifest.transport;
-  const read = stated === undefined ? transport : await withShadowBits(transport, stated, files.read);
+  const { material, shadowBits } = await forHits(transport, stated, files.read);
   const isShared = share.ports.length > 0 && globalThis.crossOriginIsolated;
-  const bits: SharedBits = { shadowBits: isShared ? sharedCopy(read.shadowBits) : read.shadowBits };
+  const read: SharedTables = { material, shadowBits };
+  const tables = isShared ? sharedCopy(read) : read;
   for (const port of share.ports) {
     port.onmessage = ({ data }: MessageEvent<SharedPass>) => taking?.(data);
-    port.postMessage(bits);
+    port.postMessage(tables);
   }
   let [tracer, note] = [null as Tracer | null, ""];
   if (backend === "auto" || backend === "mesh") tracer = openMesh(mesh, transport);
   else ({ tracer, note } = await openTracer(await cacheFiles(files), backend));
-  opened = { tracer, scene: new HitScene({ ...transport, ...bits }, mesh), share };
+  opened = { tracer, scene: new HitScene({ ...transport, ...tables }, mesh), share };
   answer({ kind: "opened", backend: tracer.backend, note, slow: tracer.slow });
 }
 
-function bitsFrom(port: MessagePort): Promise<SharedBits> {
+function tablesFrom(port: MessagePort): Promise<SharedTables> {
   return new Promise((resolve) => {
-    port.onmessage = ({ data }: MessageEvent<SharedBits>) => resolve(data);
+    port.onmessage = ({ data }: MessageEvent<SharedTables>) => resolve(data);
   });
 }
 

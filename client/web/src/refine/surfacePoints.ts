@@ -1,6 +1,6 @@
 /** The surface behind the samples of a picture, from the mesh that the viewer draws and the bundle's texels. */
 
-import { type PackedTransport, tableWidth } from "../bundle/transport.js";
+import { type HitTransport, tableWidth } from "../bundle/transport.js";
 import type { MaterialEdit, ViewCamera } from "../render/looks.js";
 import { alphaOf } from "./reflection.js";
 
@@ -45,7 +45,7 @@ export type TexelMaterials = {
 const clip = (value: number): number => Math.min(Math.max(value, 0), 1);
 
 /** Return the materials of a bundle's texels. */
-export function texelMaterials({ material, numTexels }: PackedTransport): TexelMaterials {
+export function texelMaterials({ material, numTexels }: HitTransport): TexelMaterials {
   const albedo = new Float32Array(3 * numTexels);
   const perceptualRoughness = new Float32Array(numTexels);
   const metalness = new Float32Array(numTexels);

@@ -83,8 +83,8 @@ export function normalisedScales({ scales }: PlaneTable): Float32Array<ArrayBuff
 }
 
 /** Return the longest side of the textures that a transport's tables become; they cannot be made smaller. */
-export function longestSide({ size, direct, visibility, indirect, material }: PackedTransport): number {
-  const rows = [direct, visibility, indirect, material].map((table) => table.rows);
+export function longestSide({ size, direct, visibility, indirect }: PackedTransport): number {
+  const rows = [direct, visibility, indirect].map((table) => table.rows);
   return Math.max(tableWidth, size, ...rows);
 }
 
@@ -127,7 +127,7 @@ export class BundleTextures {
       this.packedMap = pictureTexture(fitted(maps.packed, largestSide));
       if (framed) this.normalMap = pictureTexture(fitted(maps.normal, largestSide));
     }
-    if (this.normalMap === null) this.surface = atlasPlanes(transport.material, transport);
+    if (this.normalMap === null) this.surface = atlasPlanes(transport.material!, transport);
   }
 
   /** Take all planes in where they were not all there; returns whether anything has changed. */

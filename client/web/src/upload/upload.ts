@@ -3,6 +3,7 @@
 import { pause } from "../page/pause.js";
 import { type Api, type PlannedFile, Refused, type Scene, Unreachable } from "../page/rest.js";
 import type { Candidate, SceneFile } from "./collect.js";
+import { type DirectTools, directSender } from "./direct.js";
 import type { Hash } from "./hashing.js";
 
 export type UploadStep = {
@@ -14,7 +15,8 @@ export type UploadStep = {
 };
 
 export type UploadTools = {
-  readonly api: Pick<Api, "createScene" | "planFiles" | "putFile" | "putArchive" | "commit" | "scene">;
+  readonly api: Pick<Api, "createScene" | "planFiles" | "putFile" | "putArchive" | "commit" | "scene"> &
+    DirectTools["api"];
   readonly hash: Hash;
   readonly onStep: (step: UploadStep) => void;
   readonly signal: AbortSignal;
@@ -44,7 +46,9 @@ export async function upload(
     return patient(() => sendArchive(tools, id, file, mediaType));
   }
   const hashed = await hashAll(candidate.files, tools);
-  const missing = new Set((await patient(() => tools.api.planFiles(id, hashed.planned))).missing);
+  const plan = await patient(() => tools.api.planFiles(id, hashed.planned));
+  const missing = new Set(plan.missing);
+  const direct = directSender(id, plan.uploads, tools);
   const unique = [...hashed.bySha256].filter(([sha256]) => missing.has(sha256));
   const numKnown = hashed.bySha256.size - unique.length;
   const totalBytes = unique.reduce((sum, [, file]) => sum + file.sizeBytes, 0);
@@ -52,7 +56,9 @@ export async function upload(
   const tell = (what: "send" | "wait" | "commit") => tools.onStep({ what, doneBytes, totalBytes, numKnown });
   const send = async ([sha256, file]: [string, SceneFile]) => {
     const body = await file.read();
-    await patience(tools, () => tell("wait"))(() => tools.api.putFile(id, sha256, body, tools.signal));
+    await patience(tools, () => tell("wait"))(async () => {
+      if (!(await direct(sha256, body))) await tools.api.putFile(id, sha256, body, tools.signal);
+    });
     doneBytes += file.sizeBytes;
     tell("send");
   };

@@ -48,8 +48,10 @@ export class WorkNews {
   reach(share: number, text: string): void {
     this.count.textContent = text;
     const quarters = Math.floor(4 * share);
-    if (quarters <= this.#quarters) return;
-    this.#quarters = quarters;
-    this.news.textContent = `${25 * quarters} %`;
+    if (quarters > this.#quarters) {
+      this.#quarters = quarters;
+      this.news.textContent = `${25 * quarters} %`;
+      // What was said before it began is no longer true.
+    } else if (quarters === 0) this.news.textContent = "";
   }
 }

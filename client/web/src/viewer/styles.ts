@@ -87,6 +87,7 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 .actions label { display: contents; }
 .actions button { grid-column: 1 / -1; }
 #share { display: grid; gap: 0.45rem; }
+#sites { grid-column: 1 / -1; }
 .shares { list-style: none; margin: 0; padding: 0; display: grid; gap: 0.6rem; }
 .shares li { display: grid; grid-template-columns: 1fr 1fr; gap: 0.4rem; }
 .shares li > input, .shares li > span { grid-column: 1 / -1; }

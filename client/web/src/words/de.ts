@@ -517,11 +517,22 @@ export const texts: Texts = {
     helpBefore: "Der Server gibt beim Start einen Link aus und erzeugt weitere mit ",
     helpAfter: ". Jeder Link meldet einen Browser an, ein einziges Mal.",
     status: "nicht angemeldet",
+    signIn: "Anmelden",
+    orLink: "Oder einen Einmal-Link öffnen:",
+    organisation: "Organisation",
+    signInFailed:
+      "Die Anmeldung ist fehlgeschlagen. Versuchen Sie es noch einmal; hilft das nicht, fragen Sie die Betreiber des Servers.",
+    signInRefused:
+      "Sie haben sich angemeldet, haben hier aber noch keinen Zugang. Fragen Sie die Betreiber des Servers.",
   },
   connection: {
     connecting: "Verbindung wird aufgebaut…",
     live: "verbunden",
     away: "der Server antwortet nicht; neuer Versuch läuft…",
+  },
+  notices: {
+    maintenance: "Der Server wird gewartet: Änderungen werden abgelehnt, Ansehen geht.",
+    drain: "Der Server startet zurzeit keine neuen Läufe; Jobs warten.",
   },
   start: {
     title: "Fotos neu beleuchten",

@@ -531,11 +531,20 @@ export const texts = {
     helpBefore: "The server prints a link when it starts, and makes another one with ",
     helpAfter: ". Each link logs one browser in, once.",
     status: "not logged in",
+    signIn: "Sign in",
+    orLink: "Or open a one-time link:",
+    organisation: "Organisation",
+    signInFailed: "The sign-in did not work. Try again; if it fails again, ask those who run the server.",
+    signInRefused: "You signed in, but nobody has let you in here yet. Ask those who run the server.",
   },
   connection: {
     connecting: "connecting…",
     live: "live",
     away: "the server does not answer; trying again…",
+  },
+  notices: {
+    maintenance: "The server is being maintained: changes are refused, looking works.",
+    drain: "The server starts no new runs at the moment; jobs wait.",
   },
   start: {
     title: "Relight your photographs",

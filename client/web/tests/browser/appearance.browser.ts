@@ -1,9 +1,10 @@
 import { execFileSync } from "node:child_process";
 import { readdirSync } from "node:fs";
-import { join, resolve } from "node:path";
+import { resolve } from "node:path";
 import type { Browser, BrowserContext, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
 import { answerAs, type World } from "../support/cannedServer.js";
+import { python } from "../support/checkout.js";
 import { sharedChromium } from "../support/chromium.js";
 import { GoldenPictures, taken } from "../support/goldenPictures.js";
 
@@ -160,23 +161,21 @@ const states: readonly State[] = [
   { name: "no-such-page", world: "locked", at: "no-such-page", ready: "h1" },
 ];
 
-/** Return the page that our server sends with status 404. */
-function notFound(): string {
-  const root = resolve(import.meta.dirname, "../../../..");
-  return execFileSync(
-    process.env.PYTHON ?? join(root, ".venv/bin/python"),
-    ["-c", "import lambent_pages; print(lambent_pages.not_found().content.decode())"],
-    { env: { ...process.env, PYTHONPATH: join(root, "client/python") }, encoding: "utf8" },
-  );
+/** Return the page that our server sends with status 404, with its headers. */
+function notFound(): { body: string; headers: Record<string, string> } {
+  const program = `
+import json, lambent_pages
+page = lambent_pages.not_found()
+print(json.dumps({"body": page.content.decode(), "headers": page.headers}))`;
+  const printed = execFileSync(python, ["-c", program], { encoding: "utf8" });
+  return JSON.parse(printed) as { body: string; headers: Record<string, string> };
 }
 
 /** Open a page of ours in a state. */
 async function openState(context: BrowserContext, { world, at, ready, act }: State): Promise<Page> {
   const page = await context.newPage();
   await answerAs(page, world);
-  await page.route("**/no-such-page", (route) =>
-    route.fulfill({ status: 404, body: notFound(), contentType: "text/html" }),
-  );
+  await page.route("**/no-such-page", (route) => route.fulfill({ status: 404, ...notFound() }));
   await page.goto(`${inject("site")}/${at}`);
   await page.waitForSelector(ready);
   if (at.startsWith("jobs.html") && world !== "locked") await page.waitForSelector(live);

@@ -64,6 +64,37 @@ describe("several workers", () => {
   });
 });
 
+describe("a mesh with its own materials", () => {
+  it("is refined with those of its texels, which were not read to show it", async () => {
+    const context = await browser.newContext({ viewport: size, bypassCSP: true, reducedMotion: "reduce" });
+    const page = await openElement(context);
+    const [before, phase, values] = await page.evaluate(async () => {
+      const element = document.querySelector("lambent-viewer")!;
+      await element.show("/data/golden/ball_1.3.relight.zip");
+      const viewer = element.viewer!;
+      viewer.refineOptions = { ...viewer.refineOptions, workers: 2, samplesPerPixel: 32, relativeError: 0 };
+      const done = new Promise<string>((resolve) => {
+        viewer.on("refine", (status) => {
+          if (status.phase === "done" || status.phase === "failed")
+            resolve(`${status.phase} ${status.message}`);
+        });
+      });
+      await element.update({ refine: true });
+      const ended = await done;
+      const { directRgb, indirectRgb } = viewer.refined!;
+      return [
+        viewer.bundle!.transport.material,
+        ended,
+        [directRgb, indirectRgb].map((rgb) => rgb.reduce((sum, value) => sum + value, 0)),
+      ] as const;
+    });
+    expect([before, phase]).toEqual([null, "done "]);
+    expect(values[0]).toBeGreaterThan(0);
+    expect(Number.isFinite(values[1])).toBe(true);
+    await context.close();
+  });
+});
+
 describe("refining", () => {
   it.each([
     ["comes in little by little", "no-preference"],

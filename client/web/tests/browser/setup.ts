@@ -6,6 +6,7 @@ import { tmpdir } from "node:os";
 import { join, resolve } from "node:path";
 import { build } from "vite";
 import type { TestProject } from "vitest/node";
+import { pathWith, python, requireCheckout, root } from "../support/checkout.js";
 import { serveFolders } from "../support/server.js";
 
 declare module "vitest" {
@@ -17,16 +18,15 @@ declare module "vitest" {
 }
 
 const web = resolve(import.meta.dirname, "../..");
-const root = resolve(web, "../..");
 
 export async function setup(project: TestProject): Promise<() => Promise<void>> {
+  requireCheckout();
   const folder = mkdtempSync(join(tmpdir(), "lambent-viewer-"));
   const fixture = process.env.LAMBENT_VIEWER_FIXTURE ?? join(folder, "fixture");
   if (process.env.LAMBENT_VIEWER_FIXTURE === undefined) {
-    const python = process.env.PYTHON ?? join(root, ".venv/bin/python");
     const script = join(root, "tests/support/viewer_fixture.py");
-    const path = [join(root, "tests"), process.env.PYTHONPATH ?? ""].join(":");
-    execFileSync(python, [script, fixture], { stdio: "inherit", env: { ...process.env, PYTHONPATH: path } });
+    const env = { ...process.env, PYTHONPATH: pathWith("tests") };
+    execFileSync(python, [script, fixture], { stdio: "inherit", env });
   }
   // Several suites may share one build; the first makes it.
   const pages = process.env.LAMBENT_VIEWER_PAGES ?? join(folder, "pages");

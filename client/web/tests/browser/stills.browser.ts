@@ -166,6 +166,7 @@ describe("a refined picture", () => {
     await page.click("text=Save PNG");
     const dialog = page.getByRole("dialog", { name: "Refining a picture" });
     await dialog.getByText(/Part \d+ of 252/).waitFor();
+    expect(await dialog.getByText("Starting…").count()).toBe(0);
     await dialog.getByRole("button", { name: "Cancel" }).click();
     await dialog.waitFor({ state: "detached" });
     expect(await page.locator("[data-problem]").count()).toBe(0);

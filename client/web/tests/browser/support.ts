@@ -41,14 +41,15 @@ export async function openViewer(
   parameters: Record<string, string> = atRest,
   src: string | null = "data/bundle/",
   size = { width: 640, height: 480 },
+  site = inject("site"),
 ): Promise<Page> {
   const page = await ("newContext" in browser ? browser.newPage({ viewport: size }) : browser.newPage());
   page.on("pageerror", (error) => {
     throw error;
   });
   const hash = new URLSearchParams(parameters);
-  if (src !== null) hash.set("src", new URL(src, `${inject("site")}/`).href);
-  await page.goto(`${inject("site")}/viewer.html#${hash}`);
+  if (src !== null) hash.set("src", new URL(src, `${site}/`).href);
+  await page.goto(`${site}/viewer.html#${hash}`);
   await page.waitForFunction(() => document.querySelector("lambent-viewer")?.viewer != null);
   if (src !== null) await page.evaluate(() => document.querySelector("lambent-viewer")!.ready);
   return page;

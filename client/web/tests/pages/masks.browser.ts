@@ -1,13 +1,11 @@
 import { type ChildProcess, spawn } from "node:child_process";
 import { once } from "node:events";
-import { join, resolve } from "node:path";
+import { join } from "node:path";
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, expect, it } from "vitest";
+import { pathWith, python, root } from "../support/checkout.js";
 import { startChromium } from "../support/chromium.js";
 import { keepPicture, overflowOnPhone, serious } from "./support.js";
-
-const root = resolve(import.meta.dirname, "../../../..");
-const python = process.env.PYTHON ?? join(root, ".venv/bin/python");
 
 let serving: ChildProcess;
 let browser: Browser;
@@ -31,7 +29,7 @@ async function print(what: RegExp): Promise<RegExpExecArray> {
 beforeAll(async () => {
   serving = spawn(python, [join(root, "tests/support/mask_page.py")], {
     cwd: root,
-    env: { ...process.env, PYTHONPATH: join(root, "tests") },
+    env: { ...process.env, PYTHONPATH: pathWith("tests") },
     stdio: ["ignore", "pipe", "inherit"],
   });
   serving.stdout?.on("data", (piece) => {

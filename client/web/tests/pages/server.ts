@@ -4,10 +4,8 @@ import { type ChildProcess, spawn } from "node:child_process";
 import { once } from "node:events";
 import { mkdtempSync, openSync, readFileSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
-import { join, resolve } from "node:path";
-
-const root = resolve(import.meta.dirname, "../../../..");
-const python = process.env.PYTHON ?? join(root, ".venv/bin/python");
+import { join } from "node:path";
+import { python, root } from "../support/checkout.js";
 
 /** Short time-outs, as tests/support/live_server.py has them. */
 const settings = {

@@ -58,7 +58,11 @@ export async function overflowOnPhone(page: Page): Promise<number> {
 /** Keep a picture of the whole page for people to look at. */
 export async function keepPicture(page: Page, name: string): Promise<void> {
   mkdirSync(pictures, { recursive: true });
+  // What stays in the window while the page is scrolled would cover something else.
+  const scrolled = await page.evaluate(() => scrollY);
+  await page.evaluate(() => scrollTo(0, 0));
   await page.screenshot({ path: join(pictures, `${name}.png`), fullPage: true });
+  await page.evaluate((y) => scrollTo(0, y), scrolled);
 }
 
 /** Wait until the viewer of a page or a frame shows its bundle. */

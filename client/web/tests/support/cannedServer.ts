@@ -18,6 +18,7 @@ function scene(id: string, name: string, state: Scene["state"], thumbnail: strin
     num_files: state === "open" ? 0 : 64,
     size_bytes: state === "open" ? 0 : 187_400_000,
     thumbnail_url: thumbnail === null ? null : `/v1/blobs/${thumbnail}`,
+    labels: {},
   };
 }
 
@@ -90,7 +91,7 @@ function job(id: string, scene_id: string, state: Job["state"], more: Partial<Jo
     created_at: `${day}10:00:00Z`,
     started_at: began ? `${day}10:00:05Z` : null,
     finished_at: ended ? `${day}10:04:11Z` : null,
-    ...{ progress: null, last_event: 0, thumbnail_url: null, ...more },
+    ...{ progress: null, last_event: 0, thumbnail_url: null, webhook: null, ...more },
   };
 }
 
@@ -136,6 +137,7 @@ function events({ id, last_event: count }: Job): JobEvent[] {
 const bundle: Schemas["BundleDetail"] = {
   ...{ id: "bundle_1", job_id: "job_3", scene_id: "scene_5", scene_name: "Blue vase", num_files: 13 },
   ...{ created_at: `${day}10:04:10Z`, size_bytes: 24_600_000, thumbnail_url: "/v1/blobs/photo_62" },
+  labels: {},
   files: [
     ["mesh/asset.glb", 6_400_000],
     ["mesh/asset.usdz", 7_100_000],
@@ -156,6 +158,7 @@ const evaluation = {
     metric("relight/psnr", 24.87, "dB", 0.34),
     metric("normal/mae_mask", 7.31, "deg", 0.12),
     metric("roughness/rmse", 0.1182, "1", 0.004),
+    metric("albedo_rgb_ratio/psnr_gamma", 27.63, "dB", 0.18),
   ],
 };
 
@@ -241,21 +244,26 @@ function answer(method: string, { pathname, searchParams }: URL, isEmpty: boolea
     case "GET jobs/ID":
       return found;
     case "GET jobs/ID/events":
-      return { items: events(found!).filter(({ seq }) => seq > Number(searchParams.get("after"))) };
+      return {
+        items: events(found!).filter(({ seq }) => seq > Number(searchParams.get("after"))),
+        next_cursor: null,
+      };
     case "GET jobs/ID/artifacts":
-      return { items: artifacts[id!] ?? [] };
+      return { items: artifacts[id!] ?? [], next_cursor: null };
     case "GET scenes/ID":
       return one(scenes);
     case "GET scenes/ID/report":
       return report(one(scenes) as Scene);
     case "GET presets":
       return presets;
+    case "GET notices":
+      return { drain: null, maintenance: null };
     case "GET limits":
       return { max_gpus: 0 };
     case "GET bundles/ID":
       return bundle;
     case "GET bundles/ID/shares":
-      return { items: [share] };
+      return { items: [share], next_cursor: null };
     case "GET blobs/ID":
       return id === "report" ? evaluation : id === "preparation" ? preparation : undefined;
     case "POST scenes":
@@ -264,9 +272,18 @@ function answer(method: string, { pathname, searchParams }: URL, isEmpty: boolea
   return undefined;
 }
 
+/** A browser that has opened a one-time link. */
+const visitor: Schemas["Me"] = {
+  ...{ kind: "session", user_id: null, name: "", organisation: "default", organisation_name: "default" },
+  ...{ scopes: ["admin", "read", "render", "submit"], organisations: [] },
+};
+
 async function serve(route: Route, world: World): Promise<void> {
   const request = route.request();
   const url = new URL(request.url());
+  const version = { name: "lambent", version: "1.0", api: "v1", sign_in_url: null };
+  if (url.pathname === "/v1/version") return route.fulfill({ json: version });
+  if (url.pathname === "/v1/me" && world !== "locked") return route.fulfill({ json: visitor });
   if (world === "locked") {
     return route.fulfill({ status: 401, json: { code: "unauthenticated", detail: "log in" } });
   }
@@ -291,7 +308,9 @@ async function serve(route: Route, world: World): Promise<void> {
   }
   if (url.pathname.endsWith("/files:plan")) {
     const planned = request.postDataJSON() as { sha256: string }[];
-    return route.fulfill({ json: { missing: planned.map(({ sha256 }) => sha256), unsupported: [] } });
+    return route.fulfill({
+      json: { missing: planned.map(({ sha256 }) => sha256), unsupported: [], uploads: [] },
+    });
   }
   // An upload that is under way stays so.
   if (request.method() === "PUT") return;

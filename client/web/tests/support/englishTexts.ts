@@ -63,6 +63,18 @@ export function overflowing(page: Page, selector: string): Promise<string[]> {
       )
       .filter(({ scrollWidth, clientWidth }) => scrollWidth > clientWidth)
       .map((each) => `${each.tagName} ${each.className}: ${each.scrollWidth} in ${each.clientWidth} pixels`);
-    return [...labels, ...wide];
+    const context = new OffscreenCanvas(1, 1).getContext("2d")!;
+    const cut = (input: HTMLInputElement): string[] => {
+      const { font, paddingLeft, paddingRight } = getComputedStyle(input);
+      context.font = font;
+      const needed = context.measureText(input.placeholder).width;
+      const room = input.clientWidth - Number.parseFloat(paddingLeft) - Number.parseFloat(paddingRight);
+      return needed > room ? [`"${input.placeholder}": ${Math.ceil(needed)} in ${room} pixels`] : [];
+    };
+    const placeholders = places
+      .flatMap((place) => [...place.querySelectorAll<HTMLInputElement>("input[placeholder]")])
+      .filter(({ clientWidth }) => clientWidth > 0)
+      .flatMap(cut);
+    return [...labels, ...wide, ...placeholders];
   }, selector);
 }

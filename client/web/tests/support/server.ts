@@ -1,8 +1,9 @@
 /** Serves folders to tests, with the content security policy of our server. */
 
-import { createReadStream, statSync } from "node:fs";
-import { createServer, type Server } from "node:http";
+import { createReadStream, readFileSync, statSync } from "node:fs";
+import { createServer, type Server, type ServerResponse } from "node:http";
 import { extname, join, normalize } from "node:path";
+import { gzipSync } from "node:zlib";
 
 const types: Readonly<Record<string, string>> = {
   ".html": "text/html",
@@ -25,10 +26,22 @@ const isolation = {
   "cross-origin-embedder-policy": "require-corp",
 };
 
+/** What a server does besides. */
+export type Manner = {
+  /** Whether pages share no process with others. */
+  readonly isolated?: boolean;
+  /** Whether whole files are sent compressed, as our server does it. */
+  readonly gzip?: boolean;
+  /** Called before each piece of a compressed file, with the share of it that was sent; the answer waits for it. */
+  readonly piece?: (path: string, bytes: number, share: number) => Promise<void> | void;
+};
+
+const pieceBytes = 4096;
+
 /** Serve folders under their names: `{ "": pages, bundle: folder }`. Ranges are answered. */
 export async function serveFolders(
   folders: Readonly<Record<string, string>>,
-  { isolated = false } = {},
+  { isolated = false, gzip = false, piece }: Manner = {},
 ): Promise<TestServer> {
   const server: Server = createServer((request, response) => {
     const path = decodeURIComponent(new URL(request.url ?? "/", "http://localhost").pathname).slice(1);
@@ -49,6 +62,12 @@ export async function serveFolders(
       ...(isolated ? isolation : {}),
     };
     const range = /^bytes=(\d+)-(\d+)$/.exec(request.headers.range ?? "");
+    if (range === null && gzip) {
+      void sendPacked(response, headers, gzipSync(readFileSync(file)), (bytes, share) =>
+        piece?.(path, bytes, share),
+      );
+      return;
+    }
     if (range === null) {
       response.writeHead(200, { ...headers, "content-length": found.size });
       createReadStream(file).pipe(response);
@@ -75,4 +94,19 @@ export async function serveFolders(
         server.close(() => resolve());
       }),
   };
+}
+
+async function sendPacked(
+  response: ServerResponse,
+  headers: Record<string, string>,
+  packed: Buffer,
+  before: (bytes: number, share: number) => Promise<void> | void,
+): Promise<void> {
+  response.writeHead(200, { ...headers, "content-encoding": "gzip", "content-length": packed.length });
+  for (let start = 0; start < packed.length; start += pieceBytes) {
+    const piece = packed.subarray(start, start + pieceBytes);
+    await before(piece.length, start / packed.length);
+    response.write(piece);
+  }
+  response.end();
 }
