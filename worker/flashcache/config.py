@@ -166,6 +166,8 @@ class StageTwoConfig:
     clusters: ClusterConfig = field(default_factory=ClusterConfig)
     grey_weight: float = 0.0
     """Weight of the environment's mean deviation from grey (decision 0006)."""
+    tint_weight: float = 0.0
+    """Weight of the deviation of the environment's mean from grey (decision 0030)."""
     metalness_prior: MetalnessPriorConfig = field(default_factory=MetalnessPriorConfig)
     distance_weight: float = 0.1
     """Weight of the fast cache's distance relative to its radiance (decision 0004); 0 in the paper's code."""

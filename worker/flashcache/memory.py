@@ -149,7 +149,8 @@ class _Probe:
         with AllocationMeter(fixed) as meter:
             made.step()
         hook.remove()
-        asked_by_prior = GREY_DIRECTIONS if self.config.stage_two.grey_weight else 0
+        stage_two = self.config.stage_two
+        asked_by_prior = GREY_DIRECTIONS if stage_two.grey_weight or stage_two.tint_weight else 0
         # Both passes ask: at once, or one after the other.
         calls = 1 if self.config.stage_two.symmetric else 2
         return meter.peak, (traced[0] - asked_by_prior) // calls

@@ -183,6 +183,7 @@ def fast() -> Config:
             smoothness_weight=0.0,
             clusters=ClusterConfig(weight=0.004, gloss=0.0, gloss_weight=0.04, gloss_distance=0.1),
             grey_weight=0.015,
+            tint_weight=0.1,
             metalness_prior=MetalnessPriorConfig(
                 warmup_weight=1.0,
                 weight=0.3,

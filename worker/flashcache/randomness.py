@@ -1,4 +1,9 @@
-"""Where random numbers come from: counted streams, never global state."""
+"""Where random numbers come from: counted streams, never global state.
+
+Numbers of the rows of a batch are drawn by `uniform`, `normal` and `integers`: where ranks divide a batch
+(`flashcache.parallel.ranks`), each draws those of the whole batch and keeps its own, so that every row has
+the numbers that it would have in one process.
+"""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -6,6 +11,9 @@ from contextvars import ContextVar
 from hashlib import sha256
 
 import torch
+from torch import Tensor
+
+from flashcache.parallel.ranks import own_rows, whole_count
 
 _Key = tuple[int, str, str, torch.device]
 
@@ -59,6 +67,47 @@ class KeptGenerators:
 
 
 _KEPT: ContextVar[KeptGenerators | None] = ContextVar("kept_generators", default=None)
+
+
+_BLOCK: ContextVar[int] = ContextVar("rows_in_a_block", default=1)
+
+
+@contextmanager
+def in_blocks_of(rows: int) -> Iterator[None]:
+    """Draw numbers for rows of which as many follow from each row of the batch, one after the other."""
+    before = _BLOCK.set(rows)
+    try:
+        yield
+    finally:
+        _BLOCK.reset(before)
+
+
+def uniform(
+    shape: Sequence[int],
+    generator: torch.Generator | None,
+    device: torch.device,
+    dtype: torch.dtype = torch.float32,
+) -> Tensor:
+    """Return variates in [0, 1) of a shape whose first dimension counts rows of a batch."""
+    whole = (whole_count(shape[0]), *shape[1:])
+    return own_rows(torch.rand(whole, generator=generator, dtype=dtype, device=device), _BLOCK.get())
+
+
+def normal(
+    shape: Sequence[int],
+    generator: torch.Generator | None,
+    device: torch.device,
+    dtype: torch.dtype = torch.float32,
+) -> Tensor:
+    """Return variates of the standard normal distribution; as `uniform`."""
+    whole = (whole_count(shape[0]), *shape[1:])
+    return own_rows(torch.randn(whole, generator=generator, dtype=dtype, device=device), _BLOCK.get())
+
+
+def integers(high: int, count: int, generator: torch.Generator, device: torch.device) -> Tensor:
+    """Return `count` integers from 0 to below `high`, for a row of a batch each."""
+    whole = torch.randint(high, (whole_count(count),), generator=generator, device=device)
+    return own_rows(whole, _BLOCK.get())
 
 
 def _number(seed: int, stage: str, step: int, purpose: str) -> int:

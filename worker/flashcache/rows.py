@@ -14,6 +14,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from flashcache.parallel.ranks import sum_of_ranks, whole_count
+
 _FIXED: ContextVar[bool] = ContextVar("fixed_shapes", default=False)
 
 
@@ -67,8 +69,12 @@ class Rows:
 
 
 def mean_where(values: Float[Tensor, "rows *rest"], counted: Bool[Tensor, " rows"]) -> Float[Tensor, ""]:
-    """Return the mean over the rows that count; without any it is 0 with fixed shapes, else NaN."""
+    """Return the mean over the rows that count; without any it is 0 with fixed shapes, else NaN.
+
+    Where ranks divide a batch, the mean of what they return is that over the whole batch.
+    """
     if not shapes_are_fixed():
         return values[counted].mean()
     of_rows = values.reshape(len(values), -1).mean(dim=-1)
-    return torch.where(counted, of_rows, torch.zeros_like(of_rows)).sum() / counted.sum().clamp_min(1)
+    total = torch.where(counted, of_rows, torch.zeros_like(of_rows)).sum()
+    return whole_count(1) * total / sum_of_ranks(counted.sum()).clamp_min(1)

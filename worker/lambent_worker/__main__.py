@@ -10,7 +10,7 @@ USAGE = "usage: python -m lambent_worker run (started by the server, with LAMBEN
 def main(arguments: list[str]) -> int:
     """Return the exit code."""
     if arguments == ["run"]:
-        return supervise([sys.executable, "-m", "lambent_worker", "work"])
+        return supervise([sys.executable, "-P", "-m", "lambent_worker", "work"])
     if arguments == ["work"]:
         from lambent_worker.startup import prepare
 

@@ -1,6 +1,7 @@
 """Errors that are meant for the person who started the work: a stable code, what was found, what to do."""
 
 from collections.abc import Iterable
+from typing import Any
 
 from lambent_proto.v1 import scene_pb2
 
@@ -14,6 +15,10 @@ class WorkerError(Exception):
         super().__init__(f"{code}: {message}")
         self.code = code
         self.message = message
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let the error travel between processes."""
+        return type(self), (self.code, self.message)
 
 
 class UsageError(WorkerError):
@@ -35,6 +40,9 @@ class SceneRefusedError(WorkerError):
         )
         self.report = report
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.report,)
+
     @classmethod
     def of(cls, findings: Iterable[scene_pb2.Finding], layout: str = "") -> "SceneRefusedError":
         """Return the refusal of a capture with these findings, at least one of them an error."""
@@ -51,3 +59,6 @@ class Stopped(WorkerError):  # noqa: N818 - not a mistake of anyone
             "run.stopped",
             "stopped on request after writing a checkpoint; the same command goes on from there",
         )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), ()

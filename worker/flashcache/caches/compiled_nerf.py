@@ -16,6 +16,7 @@ from flashcache.fields.packing import Layers, packed_grid
 from flashcache.geometry.rays import Rays
 from flashcache.kernels import ray_query
 from flashcache.kernels.ranges import over_rows
+from flashcache.randomness import uniform
 from flashcache.volume.proposal_sampling import SECONDARY_CURVE
 from flashcache.volume.quadrature import draw_points
 
@@ -98,6 +99,6 @@ def _drawn(
     """Return the distances of all points with their weights, or of `num_points` per ray that are drawn."""
     if not num_points:
         return samples.middles, samples.weights
-    u = torch.rand(len(samples.weights), num_points, generator=generator)
+    u = uniform((len(samples.weights), num_points), generator, samples.weights.device)
     draw = draw_points(samples.weights, u, sure_from=sure_from)
     return samples.middles.gather(-1, draw.index), draw.weight

@@ -22,6 +22,7 @@ from flashcache.fields.density import (
 )
 from flashcache.geometry.rays import Rays
 from flashcache.kernels import dispatch
+from flashcache.randomness import uniform
 from flashcache.rows import Rows
 from flashcache.volume.proposal_sampling import (
     PRIMARY_CURVE,
@@ -327,7 +328,7 @@ class NerfCache(nn.Module):
         distance = torch.where(opacity < 1e-3, rays.far, distance)
         if not num_points:
             return Meeting(opacity, distance, points, found.hidden, weights)
-        u = torch.rand(len(rays), num_points, generator=generator, device=weights.device)
+        u = uniform((len(rays), num_points), generator, weights.device)
         draw = draw_points(weights, u, sure_from=sure_from)
         flat = (draw.index + counts.final * torch.arange(len(rays), device=u.device)[:, None]).reshape(-1)
         return Meeting(opacity, distance, points[flat], found.hidden[flat], draw.weight)

@@ -14,6 +14,7 @@ from flashcache.data.scene import Scene, View
 from flashcache.encoding.occupancy import Occupancy
 from flashcache.errors import ConfigError, TrainingError
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
+from flashcache.parallel.ranks import own_count, own_rows, whole_count
 
 _CHUNK_PIXELS = 1 << 16
 """Pixels whose rays are made at once, where all are looked at."""
@@ -138,10 +139,14 @@ class TrainingPixels:
         self.meeting = None if occupancy is None else self._meeting(occupancy)
 
     def draw(self, num_rays: int, generator: torch.Generator) -> RayBatch:
-        """Return a batch of pixels drawn with replacement; rays go through pixel centres."""
+        """Return a batch of pixels drawn with replacement; rays go through pixel centres.
+
+        Where ranks divide the batch, it is this rank's part of it.
+        """
+        num_rays = whole_count(own_count(num_rays))
         if self.meeting is not None:
             drawn = torch.randint(len(self.meeting), (num_rays,), generator=generator, device=self.device)
-            return self.at(self.meeting[drawn])
+            return self.at(self.meeting[own_rows(drawn)])
         num_inside = round(num_rays * self.choice.inside_share)
 
         def randint(high: int, count: int) -> Tensor:
@@ -154,7 +159,8 @@ class TrainingPixels:
             ]
         )
         # Shuffled, so that the first rays of a batch are an unbiased sample of it.
-        return self.at(index[torch.randperm(num_rays, generator=generator, device=self.device)])
+        shuffled = index[torch.randperm(num_rays, generator=generator, device=self.device)]
+        return self.at(own_rows(shuffled))
 
     def photograph_of(self, index: Int[Tensor, " rays"]) -> Int[Tensor, " rays"]:
         """Return the number of the photograph in which each position lies."""

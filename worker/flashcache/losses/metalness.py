@@ -8,6 +8,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from flashcache.errors import ConfigError
+from flashcache.parallel.ranks import rows_of_all_ranks
+from flashcache.randomness import normal as draw_normal
 from flashcache.rows import shapes_are_fixed
 
 BRIGHT = 0.9
@@ -65,7 +67,7 @@ def directional_variation(
     """
     shine = specular.sum(dim=-1)
     mean = shine.mean(dim=-1) + diffuse.sum(dim=-1).mean(dim=-1)
-    bright = _quantile_where(mean, weight > 0.0, BRIGHT)
+    bright = _quantile_where(rows_of_all_ranks(mean), rows_of_all_ranks(weight) > 0.0, BRIGHT)
     spread = shine.std(dim=-1)
     return Variation(spread / (mean + 1e-4), spread / (torch.maximum(mean, bright) + 1e-4))
 
@@ -129,7 +131,7 @@ def directions_around(
 ) -> Float[Tensor, "points directions 3"]:
     """Return unit directions above the surface, about as dense as the cosine to its normal."""
     shape = (len(normal), num_directions, 3)
-    free = torch.randn(shape, generator=generator, device=normal.device, dtype=normal.dtype)
+    free = draw_normal(shape, generator, normal.device, normal.dtype)
     free = torch.nn.functional.normalize(free, dim=-1)
     # Slightly more than the unit sphere that rests on the surface, so that none lies in it.
     return torch.nn.functional.normalize(free + 1.05 * normal.detach()[:, None], dim=-1)

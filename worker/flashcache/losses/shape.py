@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from flashcache.errors import ConfigError
+from flashcache.randomness import normal as draw_normal
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -71,7 +72,7 @@ def tangent_steps(
 ) -> Float[Tensor, "points 3"]:
     """Return random steps along the surface, normally distributed with standard deviation `scale`."""
     frozen = normal.detach()
-    step = scale * torch.randn(normal.shape, generator=generator, device=normal.device, dtype=normal.dtype)
+    step = scale * draw_normal(normal.shape, generator, normal.device, normal.dtype)
     return step - (step * frozen).sum(dim=-1, keepdim=True) * frozen
 
 

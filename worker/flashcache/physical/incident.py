@@ -39,6 +39,8 @@ class SecondaryRays:
     light_index: Int[Tensor, " rays"]
     counted: Bool[Tensor, " rays"] | None = None
     """Which rays count, where shapes are fixed (`flashcache.rows`); None: all."""
+    num_points: int = 0
+    """Points from which they leave, with fixed shapes equally many from each, one after the other; 0: any."""
 
     def __len__(self) -> int:
         """Return the number of rays."""

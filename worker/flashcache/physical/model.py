@@ -17,6 +17,7 @@ from flashcache.fields.materials import MaterialConfig, MaterialField
 from flashcache.geometry.rays import Rays
 from flashcache.physical.incident import RadianceSource, RayLimits, SecondaryRays
 from flashcache.physical.light_sampler import LightSampler, LightSamplerConfig
+from flashcache.randomness import in_blocks_of
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -101,7 +102,8 @@ class InverseModel(nn.Module):
         near = rays.origins.new_full((len(rays),), rays.near)
         far = rays.origins.new_full((len(rays),), rays.far)
         inside = Rays(rays.origins, rays.directions, near, far)
-        return self.nerf.incident(inside, rays.light_index, generator, jitter=jitter)
+        with in_blocks_of(len(rays) // rays.num_points if rays.num_points else 1):
+            return self.nerf.incident(inside, rays.light_index, generator, jitter=jitter)
 
     def nerf_source(self, generator: torch.Generator | None, *, jitter: bool = False) -> RadianceSource:
         """Return the NeRF cache as a source for estimators; arguments as for `NerfCache.incident`."""

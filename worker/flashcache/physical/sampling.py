@@ -25,6 +25,7 @@ from flashcache.geometry.directions import (
     uv_from_direction,
 )
 from flashcache.physical.brdf import ggx_density
+from flashcache.randomness import uniform
 
 PDF_FLOOR = 1e-5
 """Smallest density in 1/sr by which a contribution is divided."""
@@ -191,9 +192,11 @@ def draw_uniforms(
     """
     points, count, dimensions = shape
     if not stratified:
-        return torch.rand(shape, generator=generator, dtype=like.dtype, device=like.device)
-    shifts = 1 if continued else points
-    shift = torch.rand((shifts, 1, dimensions), generator=generator, dtype=like.dtype, device=like.device)
+        return uniform(shape, generator, like.device, like.dtype)
+    if continued:
+        shift = torch.rand((1, 1, dimensions), generator=generator, dtype=like.dtype, device=like.device)
+    else:
+        shift = uniform((points, 1, dimensions), generator, like.device, like.dtype)
     ratio = 2.0
     for _ in range(40):
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))

@@ -142,6 +142,7 @@ class DrawnDirections:
                 far=limits.far,
                 light_index=points.light_index[owner],
                 counted=torch.cat(flags) if shapes_are_fixed() else None,
+                num_points=len(like),
             )
         return DrawnDirections(points, halves, omega_i, above, num_exact, index, len(parts[0]), rays)
 

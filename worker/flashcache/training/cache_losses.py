@@ -16,8 +16,9 @@ from flashcache.losses.normals import normal_consistency, orientation
 from flashcache.losses.photometric import cache_photometric, carving, mask_loss
 from flashcache.losses.proposal import distortion, interlevel
 from flashcache.losses.shape import emptiness, flatness, recession, tangent_steps
+from flashcache.parallel.ranks import own_count, whole_count
 from flashcache.physical.model import InverseModel
-from flashcache.randomness import generator_for
+from flashcache.randomness import generator_for, integers, uniform
 from flashcache.rows import shapes_are_fixed
 from flashcache.training.optimiser import Number
 from flashcache.training.parts import numbers
@@ -71,11 +72,12 @@ class CacheLosses:
         config, phase = self.config, self.phase(step)
         numbers_now = self._held if shapes_are_fixed() and self._held is not None else self.numbers(step)
         generator = generator_for(self.seed, STAGE, step, f"part {part}", batch.colour.device)
+        num_derived = own_count(round(config.normal_rays * whole_count(len(batch))))
         geometry = model.nerf.trace(
             batch.rays,
             exponent=numbers_now.exponent,
             generator=generator,
-            num_derived=round(config.normal_rays * len(batch)) if phase.with_normals else 0,
+            num_derived=num_derived if phase.with_normals else 0,
         )
         terms, picture = self._picture_terms(model, batch, geometry, phase, generator)
         terms |= proposal_terms(geometry, config.interlevel_weight, config.interlevel_blur)
@@ -149,7 +151,7 @@ class CacheLosses:
             return {"carving": loss}, picture
         background = torch.ones_like(batch.colour)
         if config.random_background:
-            background = torch.rand(batch.colour.shape, generator=generator, device=batch.colour.device)
+            background = uniform(batch.colour.shape, generator, batch.colour.device)
         seen = picture + (1.0 - opacity)[:, None] * background
         terms = {"colour": cache_photometric(seen, batch.over(background), batch.clipped)}
         if config.mask_weight:
@@ -176,7 +178,7 @@ class CacheLosses:
         if flatness_weight is not None:
             terms["flatness"] = flatness_weight * self._flatness(model, batch, geometry, count, generator)
         if config.emptiness_weight:
-            points = self.anywhere(model, config.emptiness_points // count, generator)
+            points = self.anywhere(model, own_count(config.emptiness_points // count), generator)
             empty = emptiness(model.nerf.density.density(points), config.emptiness_step * self._half_diagonal)
             terms["emptiness"] = config.emptiness_weight * empty
         return terms
@@ -186,14 +188,14 @@ class CacheLosses:
     ) -> Float[Tensor, "points 3"]:
         """Return random points of the space in which the model may hold something."""
         device, occupancy = generator.device, model.nerf.occupancy
-        u = torch.rand(count, 3, generator=generator, device=device)
+        u = uniform((count, 3), generator, device)
         if occupancy is None:
             if self._known_box is None:
                 self._known_box = torch.tensor(self.box, device=device)
             low, high = self._known_box
             return low + u * (high - low)
         cells = self._cells(model)
-        index = torch.randint(len(cells), (count,), generator=generator, device=device)
+        index = integers(len(cells), count, generator, device)
         return occupancy.low + (cells[index] + u) * occupancy.size
 
     def _cells(self, model: InverseModel) -> Tensor:
@@ -215,9 +217,9 @@ class CacheLosses:
         generator: torch.Generator,
     ) -> Tensor:
         config = self.config.shape_prior
-        count = min(config.flatness_rays // parts, len(batch))
+        count = own_count(min(config.flatness_rays // parts, whole_count(len(batch))))
         weights = geometry.weights[:count].detach()
-        u = torch.rand(count, 1, generator=generator, device=weights.device)
+        u = uniform((count, 1), generator, weights.device)
         row = weights.shape[-1] * torch.arange(count, device=weights.device)
         index = draw_points(weights, u).index[:, 0] + row
         normal = geometry.normal[index]

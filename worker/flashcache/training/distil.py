@@ -14,13 +14,14 @@ from flashcache.config import DistilConfig
 from flashcache.data.ray_batches import RayBatch, TrainingPixels
 from flashcache.losses.fast_cache import fast_cache_loss
 from flashcache.parallel.processes import Processes
+from flashcache.parallel.ranks import Ranks
 from flashcache.physical.incident import Incident, SecondaryRays
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
 from flashcache.training.distillation_rays import relit_rays, solid_points
 from flashcache.training.joint_losses import in_reach
 from flashcache.training.optimiser import Number
-from flashcache.training.parts import Parts, numbers
+from flashcache.training.parts import Parts, mean_over_ranks, numbers
 
 STAGE = "distil"
 
@@ -65,10 +66,11 @@ class Distillation:
         *,
         seed: int,
         processes: Processes | None = None,
+        ranks: Ranks | None = None,
     ) -> None:
         self.pixels, self.config, self.seed = pixels, config, seed
         losses = DistilLosses(config, seed)
-        self.parts = Parts(model, lambda whole: whole.fast, losses, config.num_points, processes)
+        self.parts = Parts(model, lambda whole: whole.fast, losses, config.num_points, processes, ranks)
 
     def differentiate(self, step: int) -> Number:
         """Add the gradient of the loss of step `step` to the fast cache's gradients and return the loss."""
@@ -76,7 +78,8 @@ class Distillation:
             self.config.num_points, generator_for(self.seed, STAGE, step, "points", self.pixels.device)
         )
         found = self.parts.differentiate(batch, step)
-        return sum(found) / len(found)
+        (mean,) = mean_over_ranks([sum(found) / len(found)])
+        return mean
 
 
 def taught_rays(

@@ -10,6 +10,7 @@ from flashcache.physical.estimator import DirectionCounts
 from flashcache.physical.incident import RayLimits, SecondaryRays
 from flashcache.physical.sampling import CosineLobe, GgxLobe
 from flashcache.physical.shading import DrawnDirections, ShadingPoints
+from flashcache.randomness import uniform
 from flashcache.rows import Rows
 from flashcache.volume.quadrature import draw_points
 
@@ -32,7 +33,7 @@ def solid_points(
     num_rays, num_samples = geometry.weights.shape
     rows = Rows.where(geometry.opacity > SOLID)
     kept = rows.of(torch.arange(num_rays, device=geometry.weights.device))[:count]
-    u = torch.rand(num_rays, 1, generator=generator, device=geometry.weights.device)
+    u = uniform((num_rays, 1), generator, geometry.weights.device)
     index = draw_points(geometry.weights, u).index[kept, 0] + num_samples * kept
     omega_o = -directions[kept]
     points = ShadingPoints(

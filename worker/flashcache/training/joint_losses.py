@@ -10,9 +10,9 @@ from flashcache.config import StageTwoConfig
 from flashcache.data.ray_batches import RayBatch
 from flashcache.fields.appearance import Appearance
 from flashcache.fields.materials import Materials
-from flashcache.losses.clusters import gloss_differences, material_entropy
+from flashcache.losses.clusters import ClusterConfig, gloss_differences, material_entropy
 from flashcache.losses.consistency import consistency
-from flashcache.losses.environment import grey_prior
+from flashcache.losses.environment import grey_prior, tint_prior
 from flashcache.losses.fast_cache import fast_cache_loss
 from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.light_sampler import light_sampler_loss
@@ -24,9 +24,11 @@ from flashcache.losses.metalness import (
 )
 from flashcache.losses.photometric import cache_photometric, mask_loss, physical_photometric
 from flashcache.losses.smoothness import pseudo_albedo, smoothness
+from flashcache.parallel.ranks import rows_of_all_ranks
 from flashcache.physical.incident import SecondaryRays
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import Estimate, ShadingPoints
+from flashcache.randomness import normal, uniform
 from flashcache.training.cache_losses import shape_terms
 from flashcache.training.passes import Shaded
 
@@ -55,7 +57,7 @@ def cache_terms(
     """Return the losses of the NeRF cache against the photographs, and those on its shape."""
     background = torch.ones_like(batch.colour)
     if config.random_background:
-        background = torch.rand(background.shape, generator=generator, device=background.device)
+        background = uniform(background.shape, generator, background.device)
     opacity = geometry.opacity
     seen = cache + (1.0 - opacity)[:, None] * background
     terms = {"colour": cache_photometric(seen, batch.over(background), batch.clipped)}
@@ -135,7 +137,7 @@ def material_terms(
     points, terms = shaded.points, {}
     if config.smoothness_weight:
         shape, device = points.positions.shape, points.positions.device
-        step = config.smoothness_step * torch.randn(shape, generator=generator, device=device)
+        step = config.smoothness_step * normal(shape, generator, device)
         nearby = points.positions + step
         with torch.no_grad():
             hidden = model.nerf.density(nearby).hidden
@@ -153,18 +155,22 @@ def material_terms(
         )
     if not with_gloss:
         return terms
-    # One point of each ray: all pairs are compared.
-    found, first = shaded.materials, slice(len(batch))
-    materials = Materials(found.albedo[first], found.alpha[first], found.metalness[first])
-    seen = (batch.coverage > 0.0).to(points.positions.dtype)
-    if config.clusters.gloss_weight:
-        terms["gloss"] = config.clusters.gloss_weight * gloss_differences(
-            materials, points.positions[first].detach(), seen, config.clusters
-        )
-    if config.clusters.weight:
-        terms["clusters"] = config.clusters.weight * material_entropy(
-            materials, seen, config.clusters.width, config.clusters.gloss
-        )
+    if config.clusters.gloss_weight or config.clusters.weight:
+        terms |= cluster_terms(config.clusters, batch, shaded)
+    return terms
+
+
+def cluster_terms(config: ClusterConfig, batch: RayBatch, shaded: Shaded) -> Terms:
+    """Return the preference for few materials: one point of each ray, since all pairs are compared."""
+    found, first, terms = shaded.materials, slice(len(batch)), {}
+    parts = (found.albedo, found.alpha, found.metalness)
+    materials = Materials(*(rows_of_all_ranks(part[first]) for part in parts))
+    seen = rows_of_all_ranks((batch.coverage > 0.0).to(found.albedo.dtype))
+    if config.gloss_weight:
+        positions = rows_of_all_ranks(shaded.points.positions[first].detach())
+        terms["gloss"] = config.gloss_weight * gloss_differences(materials, positions, seen, config)
+    if config.weight:
+        terms["clusters"] = config.weight * material_entropy(materials, seen, config.width, config.gloss)
     return terms
 
 
@@ -209,15 +215,20 @@ def metalness_terms(
 
 
 def environment_terms(model: InverseModel, config: StageTwoConfig, generator: torch.Generator) -> Terms:
-    """Return the prior on the environments that are learned (decision 0006)."""
+    """Return the priors on the environments that are learned (decisions 0006 and 0030)."""
     learned = model.environment.learned_lights
     device = learned.device
-    if not len(learned) or not config.grey_weight:
+    if not len(learned) or not (config.grey_weight or config.tint_weight):
         return {}
     directions = torch.randn(GREY_DIRECTIONS, 3, generator=generator, device=device)
     directions = torch.nn.functional.normalize(directions, dim=-1)
     index = learned[torch.randint(len(learned), (GREY_DIRECTIONS,), generator=generator, device=device)]
-    return {"grey": config.grey_weight * grey_prior(model.environment(directions, index))}
+    radiance, terms = model.environment(directions, index), {}
+    if config.grey_weight:
+        terms["grey"] = config.grey_weight * grey_prior(radiance)
+    if config.tint_weight:
+        terms["tint"] = config.tint_weight * tint_prior(radiance)
+    return terms
 
 
 def in_reach(model: InverseModel, rays: SecondaryRays) -> Float[Tensor, " rays"]:

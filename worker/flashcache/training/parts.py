@@ -1,7 +1,8 @@
 """Parts of a batch on as many cores, each differentiated by a process of its own.
 
 The processes share the values of the model; each has gradients of its own, which are added in one fixed
-order, so that a step is the same, bit for bit, for the same number of parts.
+order, so that a step is the same, bit for bit, for the same number of parts. Instead, ranks may divide the
+batch (`flashcache.parallel.ranks`): then the batch here is this rank's part of it, and one part.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,7 +14,9 @@ import torch
 from torch import Tensor, nn
 
 from flashcache.data.ray_batches import RayBatch
+from flashcache.errors import ConfigError
 from flashcache.parallel.processes import Processes
+from flashcache.parallel.ranks import Bucket, Ranks, is_divided, mean_of_ranks
 from flashcache.parallel.shared_memory import SharedMemory, bytes_for
 from flashcache.physical.model import InverseModel
 from flashcache.rows import shapes_are_fixed
@@ -66,18 +69,24 @@ class Parts:
         losses: Losses,
         num_rays: int,
         processes: Processes | None = None,
+        ranks: Ranks | None = None,
     ) -> None:
         """`trained` picks the module whose parameters get gradients; `num_rays` is the size of a batch.
 
-        The model's values move into shared memory where there are several parts.
+        The model's values move into shared memory where there are several parts. Raises `ConfigError` for a
+        batch with fewer rays than there are `ranks`.
         """
+        if ranks is not None and num_rays < ranks.count:
+            raise ConfigError(f"a batch of {num_rays} rays cannot be divided among {ranks.count} ranks")
+        assert ranks is None or processes is None or processes.count == 1, "ranks or parts"
         on_cpu = next(model.parameters()).device.type == "cpu"
         available = processes.count if processes is not None and on_cpu else 1
         self.count = num_parts(num_rays, available)
         self._threads = 1 if on_cpu else torch.get_num_threads()
         self._processes = processes
         parameters = [parameter for parameter in trained(model).parameters() if parameter.requires_grad]
-        self._own = _Part(losses, model, parameters, None, 0, self.count)
+        self._own = _Part(losses, model, parameters, None, 0, self.count, 1 if ranks is None else ranks.count)
+        self._bucket = None if ranks is None else Bucket(ranks, parameters)
         self._gradients: list[list[Tensor]] = []
         if self.count > 1:
             assert processes is not None
@@ -95,11 +104,17 @@ class Parts:
         return batch.part(slice(part * share, None if part == self.count - 1 else (part + 1) * share))
 
     def differentiate(self, batch: RayBatch, step: int) -> list[Any]:
-        """Add the gradient of the parts' mean loss to the parameters' gradients; return their results."""
+        """Add the gradient of the parts' mean loss to the parameters' gradients; return their results.
+
+        With ranks gradients must be zero before: what is there is added to those of the others.
+        """
         questions = [(self.of(batch, part), step) for part in range(self.count)]
         with threads_of_operations(self._threads):
             if self.count == 1:
-                return [self._own(*questions[0])]
+                results = [self._own(*questions[0])]
+                if self._bucket is not None:
+                    self._bucket.add()
+                return results
             assert self._processes is not None
             results = self._processes.ask(questions, self._own)
         with threads_of_operations(self.count), torch.no_grad():
@@ -119,6 +134,8 @@ class _Part:
     """Where the gradients go, from zero on; None adds to those that the parameters have."""
     number: int
     count: int
+    ranks: int = 1
+    """Among how many ranks the batch is divided before."""
 
     def __call__(self, batch: RayBatch, step: int) -> Any:
         """Differentiate the loss of this part and return the result."""
@@ -126,7 +143,7 @@ class _Part:
             for parameter, gradient in zip(self.parameters, self.gradients, strict=True):
                 parameter.grad = gradient.zero_()
         loss, result = self.losses(self.model, batch, step, self.number, self.count)
-        (loss / self.count).backward()
+        (loss / (self.count * self.ranks)).backward()
         return result
 
 
@@ -146,5 +163,13 @@ def numbers(terms: Mapping[str, Tensor]) -> dict[str, Number]:
 
 
 def mean_terms(parts: Sequence[Mapping[str, Number]]) -> dict[str, Number]:
-    """Return the mean of the parts' loss terms, by name."""
-    return {name: sum(part[name] for part in parts) / len(parts) for name in parts[0]}
+    """Return the mean of the parts' loss terms, by name; that of all ranks where they divide the batch."""
+    means = {name: sum(part[name] for part in parts) / len(parts) for name in parts[0]}
+    return dict(zip(means, mean_over_ranks(list(means.values())), strict=True))
+
+
+def mean_over_ranks(values: Sequence[Number]) -> Sequence[Number]:
+    """Return the means of the ranks' values, which are tensors then; without ranks the values."""
+    if not is_divided():
+        return values
+    return mean_of_ranks(torch.stack([torch.as_tensor(value) for value in values])).unbind()

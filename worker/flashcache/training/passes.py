@@ -14,6 +14,7 @@ from flashcache.physical.estimator import control_variate
 from flashcache.physical.light_sampler import VmfMixture
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import Estimate, ShadingPoints
+from flashcache.randomness import uniform
 from flashcache.volume.quadrature import PointDraw, draw_points, median_point
 
 
@@ -55,7 +56,7 @@ def shade(
         found = median_point(weights)
         draw = PointDraw(found.index.expand(-1, passes), found.weight.expand(-1, passes))
     else:
-        u = torch.rand(num_rays, passes * config.points_per_ray, generator=generator, device=weights.device)
+        u = uniform((num_rays, passes * config.points_per_ray), generator, weights.device)
         found = draw_points(weights, u)
         draw = PointDraw(found.index, passes * found.weight)
     row = num_samples * torch.arange(num_rays, device=weights.device)

@@ -7,6 +7,7 @@ from flashcache.color import srgb_from_linear
 from flashcache.config import StageOneConfig
 from flashcache.data.ray_batches import RayBatch, TrainingPixels
 from flashcache.parallel.processes import Processes
+from flashcache.parallel.ranks import Ranks, divided_among, mean_of_ranks, sum_of_ranks
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
 from flashcache.rows import Rows, fixed_shapes, mean_where
@@ -40,18 +41,23 @@ class StageOne:
         processes: Processes | None = None,
         fixed: bool | None = None,
         capture: Capture | None = None,
+        ranks: Ranks | None = None,
     ) -> None:
         """`processes` share the work of a step; without them it is done by this one.
 
         With `fixed` shapes (`flashcache.rows`), by default on a GPU alone, the host never waits for a step,
-        and `capture` takes steps by CUDA graphs.
+        and `capture` takes steps by CUDA graphs. With `ranks`, shapes are fixed, and each of them takes the
+        same steps.
         """
         self.model, self.pixels, self.config, self.seed = model, pixels, config, seed
         self.optimiser = build_optimiser(parameter_groups([(model.nerf, config.rates)]))
         scene = pixels.scene
         self.losses = CacheLosses(config, seed, (scene.bounds_min, scene.bounds_max))
-        self.parts = Parts(model, lambda whole: whole.nerf, self.losses, config.num_rays, processes)
-        self.fixed = pixels.device.type == "cuda" if fixed is None else fixed
+        self.ranks = ranks
+        self.parts = Parts(model, lambda whole: whole.nerf, self.losses, config.num_rays, processes, ranks)
+        on_gpu = pixels.device.type == "cuda"
+        self.fixed = (on_gpu or ranks is not None) if fixed is None else fixed
+        assert ranks is None or (self.fixed and capture is None), "ranks need fixed shapes and no graphs"
         self.steps = Steps(self.optimiser, masked=self.fixed)
         self.graphs = Graphs(capture)
         self.steps_done = 0
@@ -70,7 +76,7 @@ class StageOne:
         set_rates(self.optimiser, factor)
         if self.fixed:
             self.losses.prepare(step, self.pixels.device)
-        with fixed_shapes(self.fixed):
+        with fixed_shapes(self.fixed), divided_among(self.ranks):
             terms = self.graphs.take(self.losses.phase(step), step, self._differentiate, self.steps)
         psnr = terms.pop(PSNR)
         self.steps_done += 1
@@ -110,5 +116,6 @@ def masked_psnr(premultiplied: Tensor, batch: RayBatch) -> Number:
     squared = (srgb_from_linear(covered.of(premultiplied).clamp(0.0, 1.0)) - wanted).square()
     if covered.counted is None:
         return float(-10.0 * torch.log10(squared.mean().clamp_min(1e-10))) if len(squared) else 0.0
-    mean = mean_where(squared, covered.counted)
-    return -10.0 * torch.log10(mean.clamp_min(1e-10)) * covered.counted.any()
+    mean = mean_of_ranks(mean_where(squared, covered.counted))
+    seen = sum_of_ranks(covered.counted.sum()) > 0
+    return -10.0 * torch.log10(mean.clamp_min(1e-10)) * seen

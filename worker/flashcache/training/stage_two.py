@@ -13,6 +13,7 @@ from torch import Tensor
 from flashcache.config import StageTwoConfig
 from flashcache.data.ray_batches import RayBatch, TrainingPixels
 from flashcache.parallel.processes import Processes
+from flashcache.parallel.ranks import Ranks, divided_among, own_count, whole_count
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
 from flashcache.rows import fixed_shapes
@@ -92,11 +93,12 @@ class JointLosses:
 
         generator = generator_of("part")
         with_normals, with_second, with_gloss = self.phase(step)
+        num_derived = own_count(round(config.normal_rays * whole_count(len(batch))))
         geometry = model.nerf.trace(
             batch.rays,
             exponent=config.proposal_exponent,
             generator=generator,
-            num_derived=round(config.normal_rays * len(batch)) if with_normals else 0,
+            num_derived=num_derived if with_normals else 0,
         )
         appearance = model.nerf.outgoing(geometry, batch.rays.directions, batch.light_index)
         cache = composite(geometry.weights, appearance.radiance)
@@ -151,11 +153,13 @@ class StageTwo:
         processes: Processes | None = None,
         fixed: bool | None = None,
         capture: Capture | None = None,
+        ranks: Ranks | None = None,
     ) -> None:
         """`processes` share the work of a step; without them it is done by this one.
 
         With `fixed` shapes (`flashcache.rows`), by default on a GPU alone, the host never waits for a step,
-        and `capture` takes steps by CUDA graphs.
+        and `capture` takes steps by CUDA graphs. With `ranks`, shapes are fixed, and each of them takes the
+        same steps.
         """
         self.model, self.pixels, self.config, self.seed = model, pixels, config, seed
         light = Rates(grid=config.environment_rate, network=config.environment_rate)
@@ -172,11 +176,13 @@ class StageTwo:
         model.nerf.requires_grad_(True)
         model.nerf.proposals.requires_grad_(False)
         self.optimiser = build_optimiser(parameter_groups(groups))
-        self.processes = processes
+        self.processes, self.ranks = processes, ranks
         self.losses = JointLosses(config, seed)
-        self.parts = Parts(model, lambda whole: whole, self.losses, config.num_rays, processes)
+        self.parts = Parts(model, lambda whole: whole, self.losses, config.num_rays, processes, ranks)
         self.distillation: Distillation | None = None
-        self.fixed = pixels.device.type == "cuda" if fixed is None else fixed
+        on_gpu = pixels.device.type == "cuda"
+        self.fixed = (on_gpu or ranks is not None) if fixed is None else fixed
+        assert ranks is None or (self.fixed and capture is None), "ranks need fixed shapes and no graphs"
         self.steps = Steps(self.optimiser, masked=self.fixed)
         self.graphs = Graphs(capture)
         self.steps_done = 0
@@ -203,7 +209,7 @@ class StageTwo:
         set_rates(self.optimiser, factor)
         differentiate = self._differentiate if late < 0 else self._differentiate_fast
         phase = self.losses.phase(step) if late < 0 else "distillation"
-        with fixed_shapes(self.fixed):
+        with fixed_shapes(self.fixed), divided_among(self.ranks):
             terms = self.graphs.take(phase, of_stage, differentiate, self.steps)
         psnr = terms.pop(PSNR, 0.0)
         self.steps_done += 1
@@ -239,7 +245,12 @@ class StageTwo:
             train_only(self.optimiser, self.model.fast)
             self.graphs.forget()
             self.distillation = Distillation(
-                self.model, self.pixels, self.config.distil, seed=self.seed, processes=self.processes
+                self.model,
+                self.pixels,
+                self.config.distil,
+                seed=self.seed,
+                processes=self.processes,
+                ranks=self.ranks,
             )
 
     def draw(self) -> RayBatch:

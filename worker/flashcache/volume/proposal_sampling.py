@@ -14,6 +14,7 @@ from torch import Tensor
 
 from flashcache.errors import ConfigError
 from flashcache.geometry.rays import Rays
+from flashcache.randomness import uniform
 from flashcache.volume.quadrature import render_weights
 from flashcache.volume.step_function import edges_from_centres, sample_centres
 
@@ -126,7 +127,7 @@ def sample_rays(
     for level, num_samples in enumerate((counts.first, counts.second, counts.final)):
         jitter = None
         if generator is not None:
-            jitter = torch.rand(num_rays, 1, device=device, dtype=dtype, generator=generator)
+            jitter = uniform((num_rays, 1), generator, device, dtype)
         centres = sample_centres(edges, weights.detach(), num_samples, jitter, exponent)
         edges = edges_from_centres(centres)
         distances = curve.distance(edges, near, far)

@@ -15,7 +15,7 @@ from lambent_worker.errors import Stopped
 from lambent_worker.files import read_record
 from lambent_worker.run.folder import done_inputs
 
-COMMAND = (sys.executable, "-m", "lambent_worker.benchmark.cell")
+COMMAND = (sys.executable, "-P", "-m", "lambent_worker.benchmark.cell")
 POLL_S = 0.2
 PATIENCE_S = 60.0
 """Time limit for a process to write its checkpoint when it is terminated."""

@@ -6,7 +6,6 @@ used `figures {CaptureFigures as ProtoJSON}`, `thumbnail {"name", "jpeg"}` for e
 """
 
 import json
-import resource
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,28 +13,36 @@ from typing import Any
 
 from google.protobuf.json_format import MessageToDict
 from lambent_proto.v1 import capture_pb2, scene_pb2
+from lambent_sandbox.sandbox import EXIT_REFUSED, Limits, SandboxError, enter
 
-
-def limit_resources(memory_bytes: int, cpu_s: int) -> None:
-    """Drop all rights of this process that reading pictures does not need, permanently."""
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
-    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
+MAX_OPEN_FILES = 256
 
 
 def main() -> None:
     """Check the folder that the order on standard input names."""
     order: dict[str, Any] = json.load(sys.stdin)
-    limit_resources(order["memory_bytes"], order["cpu_s"])
+    folder, layout = Path(order["folder"]), order["layout"]
+    masks, cameras = (None if order[name] is None else Path(order[name]) for name in ("masks", "cameras"))
+    limits = Limits(memory_bytes=order["memory_bytes"], cpu_s=order["cpu_s"], open_files=MAX_OPEN_FILES)
+    readable = [each for each in (folder, masks, cameras) if each is not None]
+    # Before anything that reads pictures is even loaded.
+    try:
+        enter(limits, order["sandbox"], readable=readable)
+    except SandboxError as error:
+        tell("refused", str(error))
+        sys.exit(EXIT_REFUSED)
+    check(folder, layout, masks, cameras, order["killers"])
+
+
+def check(
+    folder: Path, layout: str | None, masks: Path | None, cameras: Path | None, killers: Mapping[str, str]
+) -> None:
+    """Look at a capture and tell what was found."""
     from lambent_worker.capture_qa.photograph_check import check_photographs
     from lambent_worker.scenes import photographs
     from lambent_worker.scenes.detect import detect_layout
     from lambent_worker.scenes.inspect import inspect_files
 
-    folder, layout = Path(order["folder"]), order["layout"]
-    masks, cameras = (None if order[name] is None else Path(order[name]) for name in ("masks", "cameras"))
-    killers = frozenset(order["killers"])
     if cameras is None and (layout or detect_layout(folder)) == photographs.NAME:
         looked = check_photographs(folder, masks, killers, announce)
         tell("left_out", looked.left_out)

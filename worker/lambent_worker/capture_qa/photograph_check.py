@@ -12,6 +12,7 @@ from lambent_worker.capture_qa.photographs import PhotographsFigures, look
 from lambent_worker.scenes import photographs
 from lambent_worker.scenes.detect import collect_scene
 from lambent_worker.scenes.inspect import note_unsupported
+from lambent_worker.scenes.picture_error import NOTHING_SKIPPED
 from lambent_worker.scenes.problems import Problems
 
 SCHEMA_VERSION = "1.0"
@@ -35,7 +36,7 @@ class PhotographCheck:
 def check_photographs(
     folder: Path,
     masks: Path | None,
-    skip: frozenset[str] = frozenset(),
+    skip: Mapping[str, str] = NOTHING_SKIPPED,
     announce: Callable[[str], None] = lambda path: None,
 ) -> PhotographCheck:
     """Return what is to be said of the photographs in `folder` after decoding each of them once.

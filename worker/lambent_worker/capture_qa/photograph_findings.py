@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 from lambent_worker.capture_qa.photograph_limits import PhotographLimits
@@ -13,6 +13,7 @@ from lambent_worker.capture_qa.photographs import (
     look,
 )
 from lambent_worker.scenes.frames import listed
+from lambent_worker.scenes.picture_error import NOTHING_SKIPPED
 from lambent_worker.scenes.picture_files import photographs_in
 from lambent_worker.scenes.problems import Problems
 
@@ -31,7 +32,7 @@ def look_at_folder(
     problems: Problems,
     limits: PhotographLimits = LIMITS,
     announce: Callable[[str], None] = lambda name: None,
-    skip: frozenset[str] = frozenset(),
+    skip: Mapping[str, str] = NOTHING_SKIPPED,
 ) -> PhotographsFigures:
     """Return the figures of all photographs below `folder`, after noting in `problems` what is wrong with
     them.

@@ -19,7 +19,7 @@ from lambent_worker.capture_qa.observe import portrait_of, read_small, thumbnail
 from lambent_worker.capture_qa.photograph_limits import PhotographLimits
 from lambent_worker.files import file_sha256
 from lambent_worker.scenes.exif import ExifFacts, exif_facts
-from lambent_worker.scenes.picture_error import PictureError
+from lambent_worker.scenes.picture_error import NOTHING_SKIPPED, SKIPPED, PictureError
 from lambent_worker.scenes.pictures import is_linear, opened, picture_size
 
 MASK_AMONG_PHOTOGRAPHS = "scene.mask_among_photographs"
@@ -115,12 +115,12 @@ def look(
     names: Sequence[str],
     limits: PhotographLimits,
     announce: Callable[[str], None] = lambda name: None,
-    skip: frozenset[str] = frozenset(),
+    skip: Mapping[str, str] = NOTHING_SKIPPED,
 ) -> PhotographsFigures:
     """Return the figures of the photographs `names` in `folder`; nothing that they hold makes it raise.
 
-    `announce` is called with each name before its file is decoded, and with "" at the end; `skip` names those
-    that have brought a reader down.
+    `announce` is called with each name before its file is decoded, and with "" at the end; `skip` has those
+    that have brought a reader down, with the code of how.
     """
     seen: dict[str, _Seen] = {}
     rows: list[dict[str, Any]] = []
@@ -130,8 +130,7 @@ def look(
         row: dict[str, Any] = {"name": name}
         rows.append(row)
         if name in skip:
-            reason = "needs more memory or time than a photograph may; export it smaller"
-            row |= {"fault": "scene.image_too_large", "reason": reason}
+            row |= {"fault": skip[name], "reason": SKIPPED[skip[name]]}
             continue
         try:
             seen[name] = _read(folder / name, limits, row, portraits)

@@ -52,6 +52,10 @@ def train(
     seed: shared.Seed = 0,
     device: Device = "",
     threads: shared.Threads = 0,
+    ranks: Annotated[
+        int,
+        typer.Option(min=1, help="Processes that divide the training, with --device cuda a GPU each."),
+    ] = 1,
     settings: shared.Settings = None,
     resume: Annotated[bool, typer.Option(help="Take all settings from the run folder.")] = False,
     dry_run: Annotated[
@@ -99,9 +103,9 @@ def train(
     from lambent_worker.run.pipeline import run_pipeline
     from lambent_worker.run.prepare import device_for
 
-    device = device_for(out, device)
+    device = device_for(out, device, ranks)
     with ConsoleReporter(out, as_json=as_json) as reporter, stopping_on_signals(reporter.request_stop):
-        run_pipeline(spec, out, device, reporter)
+        run_pipeline(spec, out, device, reporter, num_ranks=ranks)
     if not as_json:
         typer.echo(f"bundle: {out / 'bundle'}")
         typer.echo(f"report: {out / 'evaluation' / 'report.html'}")

@@ -3,20 +3,23 @@
 import json
 import os
 import random
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import grpc
-from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
+from lambent_proto.v1 import worker_pb2
 
 from lambent_worker.files import file_sha256
+from lambent_worker.job.direct_transfer import Store, StoreAwayError
+from lambent_worker.job.servers import AwayError, Servers
 
 CHUNK_BYTES = 1024 * 1024
 CALL_TIMEOUT_S = 30.0
+# Where another server could be asked.
+SHORT_TIMEOUT_S = 10.0
 TRANSFER_TIMEOUT_S = 900.0
 FIRST_WAIT_S = 0.1
 LONGEST_WAIT_S = 2.0
@@ -58,14 +61,28 @@ class Identity:
     work_dir: Path
     memory_bytes: int = 0
     """Limit of what the pipeline may allocate; 0 for none."""
+    file_bytes: int = 0
+    """Limit of the size of a file that it may write; 0 for none."""
+    processes: int = 0
+    """Limit of its processes and threads; 0 for none."""
     give_up_after_s: float = 0.0
     """Time without a server after which the run ends itself; 0 for never."""
+    stop_grace_s: float = 30.0
+    """Time that the pipeline has to end when a server says that it must."""
+    servers: tuple[str, ...] = ()
+    """Addresses of all servers, the nearest first; `address` is that of the one that started the run."""
+    authority: str = ""
+    """Certificates (PEM) by which servers on other machines are checked; empty: those that gRPC
+    brings."""
+    authority_name: str = ""
+    """The name in the servers' certificates, if it is not their address."""
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> "Identity":
         """Return the identity in `LAMBENT_RUN`."""
         given = json.loads(environment["LAMBENT_RUN"])
-        return cls(**{**given, "work_dir": Path(given["work_dir"])})
+        servers = tuple(given.get("servers", ()))
+        return cls(**{**given, "work_dir": Path(given["work_dir"]), "servers": servers})
 
     @property
     def fence(self) -> worker_pb2.Fence:
@@ -78,30 +95,31 @@ class Connection:
 
     def __init__(self, identity: Identity) -> None:
         self.identity = identity
-        self._channel = grpc.insecure_channel(
-            identity.address,
-            options=[
-                ("grpc.initial_reconnect_backoff_ms", 100),
-                ("grpc.min_reconnect_backoff_ms", 100),
-                ("grpc.max_reconnect_backoff_ms", 1000),
-                ("grpc.enable_http_proxy", 0),
-            ],
-        )
-        self.stub = worker_pb2_grpc.WorkerServiceStub(self._channel)
+        self.stub = Servers(identity)
         self._metadata = (("authorization", f"Bearer {identity.token}"),)
-        self.ending = threading.Event()
+        # Whether the run was asked to end. Handlers of signals set it, so it is no Event: a handler that
+        # interrupts another one would wait for ever for the lock which the first one has.
+        self.ending = False
+        self._store = Store()
+        # Whether files go to and from the store directly; not any more once a server knows no such calls.
+        self._direct = True
 
     def close(self) -> None:
-        """Close the channel."""
-        self._channel.close()
+        """Close the channels."""
+        self.stub.close()
+        self._store.close()
 
     def once(self, method: Callable[..., Any], request: Any) -> Any:
-        """Call once; None where the server does not answer."""
-        try:
-            return method(request, timeout=CALL_TIMEOUT_S, metadata=self._metadata)
-        except grpc.RpcError as error:
-            _raise_if_final(error)
-            return None
+        """Call each server once, until one answers; None where none does."""
+        timeout = CALL_TIMEOUT_S if len(self.stub) == 1 else SHORT_TIMEOUT_S
+        for _ in range(len(self.stub)):
+            try:
+                return method(request, timeout=timeout, metadata=self._metadata)
+            except AwayError:
+                continue
+            except grpc.RpcError as error:
+                _raise_if_final(error)
+        return None
 
     def call(self, method: Callable[..., Any], request: Any) -> Any:
         """Call until the server answers, however long that takes."""
@@ -112,21 +130,43 @@ class Connection:
         while True:
             try:
                 return attempt()
-            except grpc.RpcError as error:
-                _raise_if_final(error)
-                broken += error.code() == grpc.StatusCode.DATA_LOSS
+            except (grpc.RpcError, StoreAwayError, AwayError) as error:
+                details = str(error)
+                if isinstance(error, grpc.RpcError):
+                    details = str(error.details())
+                    _raise_if_final(error)
+                    broken += error.code() == grpc.StatusCode.DATA_LOSS
                 if broken >= MAX_BROKEN_TRANSFERS:
-                    raise RefusedError(f"a file arrived broken {broken} times: {error.details()}") from error
-                if self.ending.is_set():
+                    raise RefusedError(f"a file arrived broken {broken} times: {details}") from error
+                if self.ending:
                     ending_since = ending_since or time.monotonic()
                     if time.monotonic() - ending_since > FAREWELL_S:
-                        raise UnreachableError(str(error.details())) from error
+                        raise UnreachableError(details) from error
             time.sleep(wait_s * random.uniform(0.5, 1.0))  # noqa: S311
             wait_s = min(2 * wait_s, LONGEST_WAIT_S)
 
     def put_file(self, path: Path, media_type: str = "application/octet-stream") -> worker_pb2.PublishedFile:
         """Send a file, which must not change meanwhile, and return its entry."""
         sha256, size = file_sha256(path), path.stat().st_size
+        self._persist(lambda: self._put(path, sha256, size, media_type))
+        return worker_pb2.PublishedFile(
+            path=path.name, sha256=sha256, size_bytes=float(size), media_type=media_type
+        )
+
+    def _put(self, path: Path, sha256: str, size: int, media_type: str) -> None:
+        """Send a file to the store, or where that cannot be reached from here to the server."""
+        if self._direct:
+            given = {"fence": self.identity.fence, "sha256": sha256, "size_bytes": float(size)}
+            plan = self._direct_call(self.stub.PlanUpload, worker_pb2.PlanUploadRequest(**given))
+            if plan is not None and plan.stored:
+                return
+            if plan is not None and plan.direct and self._send_parts(path, plan.parts):
+                request = worker_pb2.CompleteUploadRequest(**given, media_type=media_type)
+                timeout = TRANSFER_TIMEOUT_S
+                done = self.stub.CompleteUpload(request, timeout=timeout, metadata=self._metadata)
+                if done.missing:
+                    raise StoreAwayError("the store has not got everything")
+                return
         header = worker_pb2.BlobHeader(
             fence=self.identity.fence, sha256=sha256, size_bytes=float(size), media_type=media_type
         )
@@ -137,12 +177,28 @@ class Connection:
                 while chunk := file.read(CHUNK_BYTES):
                     yield worker_pb2.PutBlobRequest(data=chunk)
 
-        self._persist(
-            lambda: self.stub.PutBlob(pieces(), timeout=TRANSFER_TIMEOUT_S, metadata=self._metadata)
-        )
-        return worker_pb2.PublishedFile(
-            path=path.name, sha256=sha256, size_bytes=float(size), media_type=media_type
-        )
+        self.stub.PutBlob(pieces(), timeout=TRANSFER_TIMEOUT_S, metadata=self._metadata)
+
+    def _direct_call(self, method: Callable[..., Any], request: Any) -> Any:
+        """Return the answer of the server, or None from one that knows of no direct transfers."""
+        try:
+            return method(request, timeout=CALL_TIMEOUT_S, metadata=self._metadata)
+        except grpc.RpcError as error:
+            if error.code() != grpc.StatusCode.UNIMPLEMENTED:
+                raise
+            self._direct = False
+            return None
+
+    def _send_parts(self, path: Path, parts: Iterable[worker_pb2.UploadPart]) -> bool:
+        """Send parts of a file; return False if the store never answers to this machine."""
+        for part in parts:
+            try:
+                self._store.put(path, int(part.offset), int(part.size_bytes), part.url, part.headers)
+            except StoreAwayError:
+                if self._store.reached:
+                    raise
+                return False
+        return True
 
     def get_file(self, sha256: str, target: Path) -> None:
         """Fetch a file; `target` appears only when it is whole and has the hash."""
@@ -150,19 +206,39 @@ class Connection:
             return
         target.parent.mkdir(parents=True, exist_ok=True)
         partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
-        request = worker_pb2.GetBlobRequest(fence=self.identity.fence, sha256=sha256)
-
-        def attempt() -> None:
-            with partial.open("wb") as file:
-                stream = self.stub.GetBlob(request, timeout=TRANSFER_TIMEOUT_S, metadata=self._metadata)
-                for message in stream:
-                    file.write(message.data)
-
-        self._persist(attempt)
-        if file_sha256(partial) != sha256:
-            partial.unlink()
-            raise RefusedError(f"the server's file {sha256} has another hash")
+        try:
+            self._persist(lambda: self._get(sha256, partial))
+            if file_sha256(partial) != sha256:
+                raise RefusedError(f"the server's file {sha256} has another hash")
+        except RefusedError:
+            partial.unlink(missing_ok=True)
+            raise
         partial.replace(target)
+
+    def _get(self, sha256: str, partial: Path) -> None:
+        """Write a file from the store, or where that cannot be reached from here from the server."""
+        if self._direct:
+            request = worker_pb2.LocateBlobRequest(fence=self.identity.fence, sha256=sha256)
+            found = self._direct_call(self.stub.LocateBlob, request)
+            if found is not None and found.url and self._read(found.url, partial):
+                return
+        request = worker_pb2.GetBlobRequest(fence=self.identity.fence, sha256=sha256)
+        with partial.open("wb") as file:
+            for message in self.stub.GetBlob(request, timeout=TRANSFER_TIMEOUT_S, metadata=self._metadata):
+                file.write(message.data)
+
+    def _read(self, url: str, partial: Path) -> bool:
+        """Read an address of the store; return False if it never answers here, or has no such file."""
+        try:
+            self._store.get(url, partial)
+        except FileNotFoundError:
+            # The server says what is wrong with it.
+            return False
+        except StoreAwayError:
+            if self._store.reached:
+                raise
+            return False
+        return True
 
 
 def _raise_if_final(error: grpc.RpcError) -> None:

@@ -1,7 +1,6 @@
 """The child of a run process: fetches the scene, checks it, resumes, trains and publishes."""
 
 import re
-import resource
 import signal
 import sys
 import traceback
@@ -17,9 +16,10 @@ from lambent_worker.errors import SceneRefusedError, Stopped, UsageError, Worker
 from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError, UnreachableError
 from lambent_worker.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
 from lambent_worker.job.order import Check, Order, Pipeline
+from lambent_worker.job.run_limits import limit_run
 from lambent_worker.job.server_reporter import ServerReporter, media_type
 from lambent_worker.reporter import Reporter
-from lambent_worker.startup import end_with_parent
+from lambent_worker.startup import end_with_parent, ranks_in_use
 
 # How libraries without Python's MemoryError say it: torch, onnxruntime, C++.
 _OUT_OF_MEMORY = ("Cannot allocate memory", "Failed to allocate memory", "std::bad_alloc")
@@ -36,7 +36,10 @@ def train(order: Order) -> Path:
     assert spec.config is not None, "orders have settings"
     for sentence in rounded_sizes(order.spec.params, spec.config):
         order.reporter.finding("config.size_rounded", sentence)
-    run_pipeline(spec, order.run_dir, order.device, order.reporter, checked=order.checked)
+    num_ranks = max(1, order.spec.gpus) if order.device.startswith("cuda") else ranks_in_use()
+    run_pipeline(
+        spec, order.run_dir, order.device, order.reporter, checked=order.checked, num_ranks=num_ranks
+    )
     return task_folder(order.run_dir, "export")
 
 
@@ -68,7 +71,7 @@ def work(pipeline: Pipeline = perform, check: Check = check) -> int:
     """Do the run that `LAMBENT_RUN` names and return the exit code; the server is told how it ended."""
     end_with_parent(signal.SIGKILL)
     identity = Identity.from_environment()
-    _limit_memory(identity.memory_bytes)
+    limit_run(identity)
     connection = Connection(identity)
     try:
         start = connection.call(
@@ -82,13 +85,7 @@ def work(pipeline: Pipeline = perform, check: Check = check) -> int:
             progress_interval_s=start.progress_interval_s,
             preview_interval_s=start.preview_interval_s,
         )
-
-        def end(_number: int, _frame: object) -> None:
-            connection.ending.set()
-            reporter.request_stop()
-
-        signal.signal(signal.SIGTERM, end)
-        signal.signal(signal.SIGINT, end)
+        stop_on_signals(connection, reporter)
         _work(connection, reporter, start, pipeline, check)
     except FencedError as error:
         print(f"fenced: {error}", file=sys.stderr)
@@ -99,6 +96,17 @@ def work(pipeline: Pipeline = perform, check: Check = check) -> int:
     finally:
         connection.close()
     return 0
+
+
+def stop_on_signals(connection: Connection, reporter: ServerReporter) -> None:
+    """Ask the pipeline to end on SIGTERM and SIGINT, which may come several times."""
+
+    def end(_number: int, _frame: object) -> None:
+        connection.ending = True
+        reporter.request_stop()
+
+    signal.signal(signal.SIGTERM, end)
+    signal.signal(signal.SIGINT, end)
 
 
 def _work(
@@ -284,15 +292,3 @@ def describe_failure(error: Exception) -> worker_pb2.FailRequest:
             "take a smaller preset"
         )
     return worker_pb2.FailRequest(cause=cause, code=code, message=message)
-
-
-def _limit_memory(limit_bytes: int) -> None:
-    """Let allocations of this process fail above the limit, and those of its children each; 0 sets none.
-
-    RLIMIT_DATA, not RLIMIT_AS: CUDA reserves far more addresses than there is memory. Only Linux counts what
-    is mapped.
-    """
-    if limit_bytes and sys.platform.startswith("linux"):
-        hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
-        limit = limit_bytes if hard == resource.RLIM_INFINITY else min(limit_bytes, hard)
-        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))

@@ -60,7 +60,8 @@ class ServerReporter:
         self._preview: tuple[str, bytes] | None = None
         self._preview_sent_at = 0.0
         self._sequence = 0
-        self._stop = threading.Event()
+        # Set by handlers of signals, which may interrupt one another: an Event has a lock to wait for.
+        self._stop = False
         self._closing = False
         self.broken: Exception | None = None
         self.artifacts: list[worker_pb2.PublishedFile] = []
@@ -69,11 +70,11 @@ class ServerReporter:
 
     def request_stop(self) -> None:
         """Ask the pipeline to end at its next step."""
-        self._stop.set()
+        self._stop = True
 
     def should_stop(self) -> bool:
         """Return whether the run was asked to end, or has been given up by the server."""
-        return self._stop.is_set()
+        return self._stop
 
     def progress(self, progress: job_pb2.Progress) -> None:
         """Note how far the run is; the newest note is sent at the next occasion."""
@@ -149,7 +150,7 @@ class ServerReporter:
         except (FencedError, RefusedError, UnreachableError) as error:
             # The pipeline's thread finds it when it asks whether to go on.
             self.broken = error
-            self._stop.set()
+            self._stop = True
 
     def _send(self, *, last: bool) -> None:
         self._send_preview(last=last)
@@ -166,8 +167,10 @@ class ServerReporter:
                 progress=progress,
                 events=events,
             )
-            if self._connection.call(self._connection.stub.Report, request).stop:
-                self._stop.set()
+            reply = self._connection.call(self._connection.stub.Report, request)
+            self._connection.stub.learn(reply.servers)
+            if reply.stop:
+                self._stop = True
 
     def _send_preview(self, *, last: bool) -> None:
         with self._lock:

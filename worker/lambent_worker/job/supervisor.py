@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Sequence
@@ -32,7 +33,7 @@ def supervise(child_command: Sequence[str]) -> int:
     child = subprocess.Popen(list(child_command), stdin=subprocess.DEVNULL, env=with_parent())
 
     def pass_on(number: int, _frame: FrameType | None) -> None:
-        connection.ending.set()
+        connection.ending = True
         with contextlib.suppress(ProcessLookupError):
             child.send_signal(number)
 
@@ -81,14 +82,26 @@ def _watch(connection: Connection, child: subprocess.Popen[bytes]) -> None:
             registered = reply is not None
             if reply is not None and reply.stop and not stopped:
                 stopped = True
-                connection.ending.set()
-                child.terminate()
+                connection.ending = True
+                _end(child, identity.stop_grace_s)
         if reply is None:
             _require_hope(identity, time.monotonic() - heard_at)
         else:
             heard_at = time.monotonic()
+            connection.stub.learn(reply.servers)
         with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(max(interval_s - (time.monotonic() - began), 0.05))
+
+
+def _end(child: subprocess.Popen[bytes], grace_s: float) -> None:
+    """Ask the child to end, and kill it after the grace time: no server may be there that could.
+
+    In a thread of its own, because heartbeats wait for servers that do not answer.
+    """
+    child.terminate()
+    killing = threading.Timer(grace_s, child.kill)
+    killing.daemon = True
+    killing.start()
 
 
 def _require_hope(identity: Identity, silent_s: float) -> None:
@@ -123,13 +136,22 @@ def _tell(connection: Connection, code: int, oom_kills_before: int) -> int:
 
 def count_oom_kills() -> int:
     """Return how many processes the kernel has ended for memory, in this group where it is known (Linux)."""
-    for path in (Path("/sys/fs/cgroup/memory.events"), Path("/proc/vmstat")):
+    for path in (own_group() / "memory.events", Path("/sys/fs/cgroup/memory.events"), Path("/proc/vmstat")):
         with contextlib.suppress(OSError, ValueError):
             for line in path.read_text(encoding="ascii").splitlines():
                 name, _, value = line.partition(" ")
                 if name == "oom_kill":
                     return int(value)
     return 0
+
+
+def own_group(root: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> Path:
+    """Return the folder of the control group (version 2) of this process; `root` where there is none."""
+    with contextlib.suppress(OSError, UnicodeError):
+        for line in own.read_text(encoding="utf-8").splitlines():
+            if line.startswith("0::"):
+                return root / line.removeprefix("0::").lstrip("/")
+    return root
 
 
 def process_identity(pid: int) -> str:

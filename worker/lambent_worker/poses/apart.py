@@ -37,7 +37,7 @@ def solve_apart(
         "settings": _SETTINGS.dump_python(settings, mode="json"),
     }
     work.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, "-m", "lambent_worker.poses.apart"]
+    command = [sys.executable, "-P", "-m", "lambent_worker.poses.apart"]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with (work / "colmap.log").open("wb") as log, subprocess.Popen(command, stderr=log, **pipes) as child:
         try:

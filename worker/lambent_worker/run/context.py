@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lambent_proto.v1.job_pb2 import Progress
 
@@ -12,6 +13,9 @@ from lambent_worker.errors import Stopped
 from lambent_worker.reporter import Reporter
 from lambent_worker.run.folder import task_folder
 from lambent_worker.run.spec import RunSpec
+
+if TYPE_CHECKING:
+    from flashcache.parallel.ranks import Ranks
 
 
 @dataclass(kw_only=True, slots=True)
@@ -54,6 +58,15 @@ class TaskContext:
     checked: CaptureCheck | None = None
     """Result of a check without layout or masks whose findings were reported already."""
     clock: Clock = field(default_factory=lambda: Clock(before=0.0, share=1.0, job_started=0.0))
+    num_ranks: int = 1
+    """Among how many processes with a device each training is divided."""
+    ranks: "Ranks | None" = None
+    """The others, in such a process; only the first one writes and reports."""
+
+    @property
+    def leads(self) -> bool:
+        """Return whether this process is the only one, or the first of several, that train."""
+        return self.ranks is None or self.ranks.number == 0
 
     @property
     def folder(self) -> Path:

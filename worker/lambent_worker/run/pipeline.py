@@ -20,6 +20,7 @@ from lambent_worker.run.folder import (
 )
 from lambent_worker.run.hashes import PREPARATION, TASKS, input_hashes
 from lambent_worker.run.kept import drop_unfitting
+from lambent_worker.run.rank_processes import DIVIDED, train_by_ranks
 from lambent_worker.run.spec import RunSpec, keep_run
 from lambent_worker.startup import cores_in_use
 
@@ -32,14 +33,16 @@ def run_pipeline(
     tasks: tuple[str, ...] = TASKS,
     *,
     checked: CaptureCheck | None = None,
+    num_ranks: int = 1,
 ) -> None:
     """Run `tasks` in order, leaving out those whose results are there already, and those of other captures.
 
     A task that was interrupted goes on from its last checkpoint. A task whose inputs (scene, lights, the
     settings it reads, an earlier task) have changed starts afresh. `checked` is the result of a
-    check without layout or masks whose findings were reported already. Raises `Stopped` when the reporter
-    asks to end, `UsageError` where the folder holds a run with other settings, `SceneRefusedError` for an
-    unusable scene, and what the tasks raise.
+    check without layout or masks whose findings were reported already. Training is divided among `num_ranks`
+    processes, with a GPU each where `device` is "cuda"; everything else uses the first. Raises `Stopped` when
+    the reporter asks to end, `UsageError` where the folder holds a run with other settings,
+    `SceneRefusedError` for an unusable scene, and what the tasks raise.
     """
     unknown = [name for name in tasks if name not in TASKS]
     if unknown:
@@ -60,6 +63,7 @@ def run_pipeline(
             device=device,
             reporter=reporter,
             checked=checked,
+            num_ranks=num_ranks,
             clock=Clock(before=0.0, share=0.0, job_started=sum(expected[name] for name in done) / total),
         )
         before, prepares = 0.0, True
@@ -86,7 +90,8 @@ def run_task(context: TaskContext, inputs: str) -> None:
     context.reporter.log("step.started", stage=context.task)
     context.progress(0, 1)
     try:
-        _task_function(context.task)(context)
+        divided = context.num_ranks > 1 and context.task in DIVIDED
+        (train_by_ranks if divided else _task_function(context.task))(context)
     finally:
         seconds = round(time.monotonic() - started, 2)
         add_task_seconds(context.run_dir, context.task, seconds)

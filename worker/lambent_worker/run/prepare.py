@@ -23,10 +23,11 @@ from lambent_worker.run.pipeline import run_task
 from lambent_worker.run.spec import RunSpec, read_run, run_record, training_has_begun, unused_corrections
 
 
-def device_for(run_dir: Path, device: str = "") -> str:
+def device_for(run_dir: Path, device: str = "", num_ranks: int = 1) -> str:
     """Return the device to run on in `run_dir`: the one that is asked for, that of the run there, or the CPU.
 
-    Raises `UsageError` for a missing device, and for a folder that holds something else.
+    Raises `UsageError` for a missing device, for fewer GPUs than `num_ranks` where they are asked for, and
+    for a folder that holds something else.
     """
     if (run_dir / "run.json").exists():
         device = device or run_record(run_dir)["device"]
@@ -34,8 +35,16 @@ def device_for(run_dir: Path, device: str = "") -> str:
         raise UsageError(
             "run.folder_not_empty", f'"{run_dir}" exists and holds no run; choose another folder with -o'
         )
-    check_device(device or "cpu")
-    return device or "cpu"
+    device = device or "cpu"
+    check_device(device)
+    if num_ranks > 1 and device != "cpu":
+        if device != "cuda":
+            raise UsageError(
+                "device.of_ranks",
+                f'--device "{device}" is one GPU; use cuda with --ranks, which takes the first',
+            )
+        check_device(f"cuda:{num_ranks - 1}")
+    return device
 
 
 def open_task(run_dir: Path, task: str, reporter: Reporter, device: str = "") -> TaskContext:

@@ -1,6 +1,6 @@
 """Checks everything in a capture: cameras, every picture, and files that do not belong there."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from lambent_worker.files import file_sha256
 from lambent_worker.scenes import glossy_synthetic, photographs
 from lambent_worker.scenes.detect import TOLERANT_LAYOUTS, collect_scene, detect_layout
 from lambent_worker.scenes.lost_frames import are_few
-from lambent_worker.scenes.picture_error import PictureError
+from lambent_worker.scenes.picture_error import NOTHING_SKIPPED, SKIPPED, PictureError
 from lambent_worker.scenes.pictures import PictureFacts, picture_facts, picture_size, read_coverage
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.silhouette_check import check_silhouettes, training_silhouettes
@@ -44,7 +44,7 @@ class Inspection:
 def inspect_capture(
     folder: Path,
     layout: str | None = None,
-    skip: frozenset[str] = frozenset(),
+    skip: Mapping[str, str] = NOTHING_SKIPPED,
     announce: Callable[[str], None] = lambda path: None,
     masks: Path | None = None,
     cameras: Path | None = None,
@@ -57,17 +57,17 @@ def inspect_capture(
 def inspect_files(
     folder: Path,
     layout: str | None = None,
-    skip: frozenset[str] = frozenset(),
+    skip: Mapping[str, str] = NOTHING_SKIPPED,
     announce: Callable[[str], None] = lambda path: None,
     masks: Path | None = None,
     cameras: Path | None = None,
 ) -> Inspection:
     """Return what is to be said of the capture in `folder` after decoding all of its pictures.
 
-    `skip` names files that must not be opened because they have brought a reader down; each counts as a
-    picture that cannot be decoded. `announce` is called with the path of each file before it is decoded.
-    `masks` is a folder of masks that override those of the layout, `cameras` one of cameras that were found
-    for photographs.
+    `skip` has files that must not be opened because they have brought a reader down, with the code of how
+    (`SKIPPED`); each counts as a picture that cannot be decoded. `announce` is called with the path of each
+    file before it is decoded. `masks` is a folder of masks that override those of
+    the layout, `cameras` one of cameras that were found for photographs.
     """
     problems = Problems()
     manifest = collect_scene(folder, layout, problems, masks, cameras=cameras)
@@ -132,7 +132,7 @@ def note_unsupported(folder: Path, known: set[Path], problems: Problems) -> None
 def _look_at_pictures(
     folder: Path,
     manifest: scene_pb2.SceneManifest,
-    skip: frozenset[str],
+    skip: Mapping[str, str],
     announce: Callable[[str], None],
     problems: Problems,
 ) -> dict[str, scene_pb2.Finding]:
@@ -184,14 +184,10 @@ def _note_duplicate(folder: Path, path: str, frame: str, seen: dict[str, str], p
     seen.setdefault(digest, path)
 
 
-def _look_at_mask(folder: Path, frame: scene_pb2.Frame, skip: frozenset[str], problems: Problems) -> None:
+def _look_at_mask(folder: Path, frame: scene_pb2.Frame, skip: Mapping[str, str], problems: Problems) -> None:
     if frame.mask in skip:
-        problems.error(
-            "scene.image_too_large",
-            f'{frame.mask} (frame "{frame.name}") needs more memory or time than a picture may; export it '
-            "smaller",
-            frame.mask,
-        )
+        code = skip[frame.mask]
+        problems.error(code, f'{frame.mask} (frame "{frame.name}") {SKIPPED[code]}', frame.mask)
         return
     try:
         coverage = read_coverage(folder / frame.mask, frame.mask_encoding)
@@ -216,12 +212,12 @@ def _look_at_mask(folder: Path, frame: scene_pb2.Frame, skip: frozenset[str], pr
 
 
 def _look_at(
-    folder: Path, path: str, frame: str, skip: frozenset[str]
+    folder: Path, path: str, frame: str, skip: Mapping[str, str]
 ) -> tuple[PictureFacts | None, scene_pb2.Finding]:
     """Return the facts about a picture, or None and what is wrong with it."""
-    facts, code = None, "scene.image_too_large"
-    reason = "needs more memory or time than a picture may; export it smaller"
-    if path not in skip:
+    facts, code = None, skip.get(path, "")
+    reason = SKIPPED.get(code, "")
+    if not code:
         try:
             facts = picture_facts(folder / path)
             code, reason = "scene.image_not_finite", "holds NaN or infinity; export it again without"

@@ -1,5 +1,8 @@
 """The exception raised by everything that opens pictures."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 
 class PictureError(Exception):
     """A picture cannot be used; `code` is stable, the text says why and what to do."""
@@ -13,3 +16,18 @@ def reason_of(error: Exception) -> str:
     """Return a library's own words, one line without folders, at most 120 characters."""
     text = str(error).splitlines()[0] if str(error) else type(error).__name__
     return text.replace("\\", "/").rsplit("/", maxsplit=1)[-1][:120]
+
+
+TOO_LARGE = "scene.image_too_large"
+STOPPED = "scene.decoder_stopped"
+SKIPPED: Mapping[str, str] = MappingProxyType(
+    {
+        TOO_LARGE: "needs more memory or time than a picture may; export it smaller",
+        STOPPED: "made its reader try what no picture needs (the network, another program or other files), "
+        "and was stopped; remove it",
+    }
+)
+"""What is said of a picture that has brought a reader down, after its name, by the code of the finding."""
+
+NOTHING_SKIPPED: Mapping[str, str] = MappingProxyType({})
+"""Codes of `SKIPPED` by path of the picture: none."""

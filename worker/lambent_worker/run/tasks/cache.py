@@ -32,6 +32,14 @@ def run(context: TaskContext) -> None:
         pixels = training_pixels(context, scene, model)
         drive(
             context,
-            StageOne(model, pixels, config, seed=seed, processes=processes, capture=capture_for(context)),
+            StageOne(
+                model,
+                pixels,
+                config,
+                seed=seed,
+                processes=processes,
+                capture=capture_for(context),
+                ranks=context.ranks,
+            ),
             previews_for(context, scene),
         )

@@ -24,6 +24,14 @@ def run(context: TaskContext) -> None:
         pixels = training_pixels(context, scene, model)
         drive(
             context,
-            StageTwo(model, pixels, config, seed=seed, processes=processes, capture=capture_for(context)),
+            StageTwo(
+                model,
+                pixels,
+                config,
+                seed=seed,
+                processes=processes,
+                capture=capture_for(context),
+                ranks=context.ranks,
+            ),
             previews_for(context, scene),
         )

@@ -10,7 +10,7 @@ import torch
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.data.scene import Scene
 from flashcache.data.space import domain_of, placed
-from flashcache.errors import TrainingError
+from flashcache.errors import RanksDifferError, TrainingError
 from flashcache.parallel.processes import Processes
 from flashcache.physical.model import Domain, InverseModel
 from flashcache.training.checkpoint import (
@@ -48,6 +48,8 @@ def read_scene(context: TaskContext) -> Scene:
     """Return the capture of the run, loaded at the preset's size."""
     config = context.spec.config
     manifest = read_manifest(context)
+    if not context.leads:
+        context.ranks.agree(0)  # The first one reads photographs first, and keeps what it reads.
     scene = load_scene(
         context.spec.scene,
         manifest,
@@ -55,6 +57,8 @@ def read_scene(context: TaskContext) -> Scene:
         crop=config.crop,
         store=context.run_dir / KEPT_PICTURES,
     )
+    if context.ranks is not None and context.leads:
+        context.ranks.agree(0)
     return placed(scene, config.space)
 
 
@@ -98,16 +102,20 @@ def training_pixels(context: TaskContext, scene: Scene, model: InverseModel) -> 
 def processes_for(context: TaskContext, num_rays: int) -> Processes:
     """Return the processes among which the steps of a stage with batches of `num_rays` are divided.
 
-    As many as torch may use threads, or fewer for small batches; on a GPU only this one.
+    As many as torch may use threads, or fewer for small batches; on a GPU, and as one of several ranks, only
+    this one.
     """
-    on_cpu = torch.device(context.device).type == "cpu"
+    on_cpu = torch.device(context.device).type == "cpu" and context.ranks is None
     return Processes(num_parts(num_rays, torch.get_num_threads() if on_cpu else 1))
 
 
 def capture_for(context: TaskContext) -> CudaCapture | None:
-    """Return what captures the steps of a stage as CUDA graphs; None on a processor."""
+    """Return what captures the steps of a stage as CUDA graphs; None on a processor and for ranks.
+
+    A rank that gave its graphs up alone would no longer add gradients when the others do.
+    """
     device = torch.device(context.device)
-    return CudaCapture(device) if device.type == "cuda" else None
+    return CudaCapture(device) if device.type == "cuda" and context.ranks is None else None
 
 
 def previews_for(context: TaskContext, scene: Scene) -> LivePreview:
@@ -118,8 +126,9 @@ def previews_for(context: TaskContext, scene: Scene) -> LivePreview:
 def drive(context: TaskContext, stage: Stage, preview: LivePreview | None = None) -> None:
     """Take all steps of a stage, from its last checkpoint on, with progress, checkpoints and previews.
 
-    Raises `Stopped` after writing a checkpoint when the reporter asks to end, and `TrainingError` when too
-    many steps had gradients that were not finite.
+    Ranks take the same steps; the first one alone has previews, reports and writes checkpoints, and when is
+    agreed after every step. Raises `Stopped` after writing a checkpoint when the reporter asks to end, and
+    `TrainingError` when too many steps had gradients that were not finite.
     """
     config = context.spec.config
     fingerprint = digest(repr(config.model), repr(stage.config))
@@ -133,7 +142,7 @@ def drive(context: TaskContext, stage: Stage, preview: LivePreview | None = None
         if isinstance(stage, StageOne | StageTwo) and stage.graphs.problem != problem:
             problem = stage.graphs.problem
             context.reporter.log("graphs.given_up", step=record.step, reason=problem)
-        if preview is not None:
+        if preview is not None and context.leads:
             preview.attempt(stage.model, record.step)
         now = time.monotonic()
         if now - reported_at >= REPORT_INTERVAL_S or stage.finished:
@@ -152,12 +161,14 @@ def drive(context: TaskContext, stage: Stage, preview: LivePreview | None = None
             )
         stopping = context.reporter.should_stop()
         due = record.step % config.checkpoint_steps == 0 or now - saved_at >= config.checkpoint_interval_s
+        if context.ranks is not None:
+            stopping, due = map(bool, context.ranks.agree(stopping, due))
         if stage.finished or stopping or due:
             _save(context, stage, fingerprint, seconds)
             saved_at = time.monotonic()
         if stopping and not stage.finished:
             raise Stopped
-    if preview is not None:
+    if preview is not None and context.leads:
         preview.tell()
 
 
@@ -180,7 +191,19 @@ def _resume(context: TaskContext, stage: Stage, fingerprint: str) -> float:
     """Continue from the newest checkpoint that counts, and return the seconds trained before it.
 
     One counts if it can be read and was made with the settings that the stage has now, whoever made it.
+    The first of several ranks chooses.
     """
+    if context.ranks is None:
+        return _resume_alone(context, stage, fingerprint)
+    seconds = _resume_alone(context, stage, fingerprint) if context.leads else 0.0
+    (step,) = context.ranks.agree(stage.steps_done)
+    if step and not context.leads:
+        state = load_checkpoint(checkpoint_folder(context.folder, step), stage.model, stage.optimiser)
+        stage.steps_done, stage.num_skipped = state.step, state.num_skipped
+    return seconds
+
+
+def _resume_alone(context: TaskContext, stage: Stage, fingerprint: str) -> float:
     while (folder := latest_checkpoint(context.folder)) is not None:
         made = read_record(folder / "state.json")
         if made and (made.get("config_sha256"), made.get("seed")) != (fingerprint, context.spec.seed):
@@ -202,6 +225,10 @@ def _resume(context: TaskContext, stage: Stage, fingerprint: str) -> float:
 def _save(context: TaskContext, stage: Stage, fingerprint: str, seconds: float) -> None:
     if isinstance(stage, StageOne | StageTwo):
         stage.num_skipped += stage.steps.read()
+    if context.ranks is not None and not context.ranks.hold_the_same(stage.model):
+        raise RanksDifferError(stage.steps_done)
+    if not context.leads:
+        return
     state = CheckpointState(
         stage=context.task,
         step=stage.steps_done,

@@ -1,0 +1,172 @@
+"""The servers that a run can reach, and the one it talks to: any answers, because they share the state.
+
+Addresses: `unix:/path`, `tls:host:port`, and `tcp:host:port` where somebody has allowed it.
+"""
+
+import functools
+import random
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from typing import Any, Protocol
+
+import grpc
+from lambent_proto.v1 import worker_pb2_grpc
+
+RETURN_AFTER_S = 30.0
+"""Time after which a run that has changed servers tries its own again."""
+_UNIX_OPTIONS = (
+    ("grpc.initial_reconnect_backoff_ms", 100),
+    ("grpc.min_reconnect_backoff_ms", 100),
+    ("grpc.max_reconnect_backoff_ms", 1000),
+    ("grpc.enable_http_proxy", 0),
+)
+_NETWORK_OPTIONS = (
+    ("grpc.initial_reconnect_backoff_ms", 500),
+    # Also the time that a connection may take.
+    ("grpc.min_reconnect_backoff_ms", 5000),
+    ("grpc.max_reconnect_backoff_ms", 5000),
+    ("grpc.enable_http_proxy", 0),
+    # A machine that vanishes closes no connection.
+    ("grpc.keepalive_time_ms", 20_000),
+    ("grpc.keepalive_timeout_ms", 10_000),
+)
+_AWAY = frozenset({grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.DEADLINE_EXCEEDED})
+
+
+class AwayError(Exception):
+    """The server at an address that was tried does not know this run: it belongs to somebody else."""
+
+
+class KnownServers(Protocol):
+    """What a run is told about its servers when it starts."""
+
+    @property
+    def address(self) -> str: ...
+
+    @property
+    def servers(self) -> tuple[str, ...]: ...
+
+    @property
+    def authority(self) -> str: ...
+
+    @property
+    def authority_name(self) -> str: ...
+
+
+def open_channel(address: str, authority: str = "", authority_name: str = "") -> grpc.Channel:
+    """Return a channel to a server; one over TLS trusts `authority` (PEM), or else those that gRPC brings.
+
+    `authority_name` is the name in the server's certificate, if it is not the host of the address.
+    """
+    kind, _, rest = address.partition(":")
+    if kind == "tls":
+        credentials = grpc.ssl_channel_credentials(root_certificates=authority.encode() or None)
+        named = (("grpc.ssl_target_name_override", authority_name),) if authority_name else ()
+        return grpc.secure_channel(rest, credentials, options=(*_NETWORK_OPTIONS, *named))
+    if kind == "tcp":
+        return grpc.insecure_channel(rest, options=_NETWORK_OPTIONS)
+    return grpc.insecure_channel(address, options=_UNIX_OPTIONS)
+
+
+class _ServerConnection:
+    """The channel to one server, and the calls over it."""
+
+    def __init__(self, address: str, known: KnownServers) -> None:
+        self.address = address
+        self.channel = open_channel(address, known.authority, known.authority_name)
+        self.stub = worker_pb2_grpc.WorkerServiceStub(self.channel)
+
+
+class Servers:
+    """Calls go to the run's own server, or, while that does not answer, to one of the others.
+
+    Safe to use from several threads. A call that fails is not repeated here: the next one goes elsewhere.
+    """
+
+    def __init__(self, known: KnownServers) -> None:
+        self._known = known
+        self._lock = threading.Lock()
+        self._home = known.address
+        self._addresses = [known.address]
+        self._connections: dict[str, _ServerConnection] = {}
+        self._current = known.address
+        self._away_from_home = ""
+        """The server that answered last, while the own one is tried again."""
+        self._return_at = 0.0
+        self.learn(known.servers)
+
+    def __len__(self) -> int:
+        return len(self._addresses)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return the method `name` of the service, which chooses a server when it is called."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return functools.partial(self._invoke, name)
+
+    def learn(self, addresses: Iterable[str]) -> None:
+        """Take over the list that a server has sent, the nearest first; an empty one changes nothing."""
+        others = [address for address in dict.fromkeys(addresses) if address != self._home]
+        if not others:
+            return
+        # Runs of one machine must not all go to the same server when theirs ends.
+        random.shuffle(others)
+        others.sort(key=lambda address: not address.startswith("unix:"))
+        with self._lock:
+            if set(others) != set(self._addresses[1:]):
+                self._addresses = [self._home, *others]
+
+    def close(self) -> None:
+        """Close all channels."""
+        with self._lock:
+            for connection in self._connections.values():
+                connection.channel.close()
+
+    def _invoke(self, name: str, request: Any, **given: Any) -> Any:
+        connection = self._choose()
+        try:
+            answer = getattr(connection.stub, name)(request, **given)
+        except grpc.RpcError as error:
+            self._note(connection, error)
+            raise
+        return self._pieces(connection, answer) if isinstance(answer, grpc.Call) else answer
+
+    def _pieces(self, connection: _ServerConnection, answer: Iterable[Any]) -> Iterator[Any]:
+        try:
+            yield from answer
+        except grpc.RpcError as error:
+            self._note(connection, error)
+            raise
+
+    def _choose(self) -> _ServerConnection:
+        with self._lock:
+            if self._current != self._home and time.monotonic() >= self._return_at:
+                self._away_from_home, self._current = self._current, self._home
+            return self._connection(self._current)
+
+    def _connection(self, address: str) -> _ServerConnection:
+        if address not in self._connections:
+            self._connections[address] = _ServerConnection(address, self._known)
+        return self._connections[address]
+
+    def _note(self, connection: _ServerConnection, error: grpc.RpcError) -> None:
+        """Go on to the next server if this one is away; raise AwayError if it belongs to somebody else."""
+        foreign = error.code() == grpc.StatusCode.UNAUTHENTICATED and connection.address != self._home
+        if foreign or error.code() in _AWAY:
+            with self._lock:
+                self._leave(connection.address)
+        if foreign:
+            raise AwayError(f"{connection.address} does not know this run") from error
+
+    def _leave(self, address: str) -> None:
+        # Another thread may have done so already.
+        if address != self._current or len(self._addresses) == 1:
+            return
+        if address == self._home:
+            self._return_at = time.monotonic() + RETURN_AFTER_S * random.uniform(1.0, 1.5)  # noqa: S311
+        following = self._away_from_home
+        if address != self._home or following not in self._addresses:
+            at = self._addresses.index(address) if address in self._addresses else -1
+            following = self._addresses[(at + 1) % len(self._addresses)]
+        self._current, self._away_from_home = following, ""
