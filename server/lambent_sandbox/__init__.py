@@ -1,0 +1,1 @@
+"""Restrictions of a process that decodes untrusted files; it needs nothing but the standard library."""
