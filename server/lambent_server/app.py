@@ -2,17 +2,24 @@
 
 from typing import Any
 
-from fastapi import FastAPI
+from anyio import CapacityLimiter
+from fastapi import Depends, FastAPI
 from pydantic.json_schema import models_json_schema
 
+from lambent_server.feed import Feed
 from lambent_server.health import Health
 from lambent_server.http import errors
-from lambent_server.http.identity import LoginCodes
-from lambent_server.http.middleware import App, Gate
+from lambent_server.http.budget import Budget
+from lambent_server.http.maintenance import Maintenance
+from lambent_server.http.middleware import Gate
+from lambent_server.http.request import App
+from lambent_server.http.scopes import check_scope, describe_scope, require_complete
 from lambent_server.messages import ProblemDocument
+from lambent_server.oidc import THREADS, Provider
 from lambent_server.routes import (
     about,
     bundles,
+    direct_uploads,
     embed,
     environments,
     events,
@@ -21,14 +28,19 @@ from lambent_server.routes import (
     keys,
     login,
     pages,
+    people,
+    provenance,
     renders,
     scenes,
+    sign_in,
+    webhooks,
 )
-from lambent_server.secrets import read_or_create_secret
+from lambent_server.routes.resources import describe_conditions
+from lambent_server.server_state import Notices
 from lambent_server.services import Services
 from lambent_server.settings import Settings
+from lambent_server.shared_secrets import SHARE, shared_secret
 
-_PUBLIC = frozenset({"/healthz", "/readyz", "/v1/version", "/v1/login", "/v1/shares:open"})
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
@@ -41,25 +53,42 @@ def _bare(services: Services | None) -> FastAPI:
         redoc_url=None,
         openapi_url=None,
         generate_unique_id_function=lambda route: route.name,
+        dependencies=[Depends(check_scope)],
     )
     app.state.services = services
     errors.install(app)
-    for module in (scenes, jobs, renders, events, bundles, files, environments, about, login, keys):
-        app.include_router(module.router)
+    modules = (
+        *(scenes, direct_uploads, jobs, renders, events, bundles, files, environments, about, login, keys),
+        webhooks,
+        people,
+        sign_in,
+        provenance,
+    )
+    routers = [module.router for module in (*modules, embed, pages)]
+    require_complete(routers)
+    for router in routers[: len(modules)]:
+        app.include_router(router)
     app.add_api_route("/openapi.json", describe, include_in_schema=False)
     app.include_router(embed.router)
     app.include_router(pages.router)
     return app
 
 
-def make_app(services: Services) -> tuple[FastAPI, App]:
-    """Return the application, and the same wrapped in its gate; serve the latter."""
+def make_app(services: Services, connections: int | None = None) -> tuple[FastAPI, App]:
+    """Return the application, and the same wrapped in its gate; serve the latter.
+
+    `connections` is the number of connections that the system allows, if fewer than in the settings.
+    """
     app = _bare(services)
-    app.state.login_codes = LoginCodes(services.settings.login_code_s)
     app.state.health = Health(services)
-    app.state.feed = events.Feed(services)
-    app.state.share_secret = read_or_create_secret(services.settings.data / "share.secret")
-    return app, Gate(app, services, allowed_hosts(services.settings), app.state.share_secret)
+    app.state.budget = budget = Budget(services.settings, connections)
+    app.state.feed = Feed(services, budget)
+    issuer = services.settings.oidc_issuer
+    app.state.sign_ins = CapacityLimiter(THREADS)
+    app.state.provider = None if issuer is None else Provider(services.settings)
+    app.state.share_secret = shared_secret(services.database, services.settings, SHARE)
+    inner = Maintenance(app, Notices(services.database))
+    return app, Gate(inner, services, allowed_hosts(services.settings), app.state.share_secret, budget)
 
 
 def allowed_hosts(settings: Settings) -> frozenset[str]:
@@ -87,9 +116,10 @@ def describe() -> dict[str, Any]:
         "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}},
     }
     for path, operations in description["paths"].items():
+        if path.startswith("/v1/") and "get" in operations:
+            describe_conditions(operations["get"])
         for operation in operations.values():
-            if path not in _PUBLIC:
-                operation["security"] = [{"key": []}, {"session": []}]
+            describe_scope(operation)
             # FastAPI describes its own validation body, which is never sent.
             if "HTTPValidationError" in str(operation["responses"].get("422")):
                 operation["responses"]["422"] = problem

@@ -24,6 +24,8 @@ class Bundle(Shown):
     size_bytes: float
     thumbnail_url: str | None
     """A small picture of the object; null if the bundle has none."""
+    labels: dict[str, str]
+    """At first those of its job."""
 
 
 class BundleList(Shown):
@@ -74,6 +76,7 @@ class ShareList(Shown):
     """The active links of a bundle, newest first."""
 
     items: list[Share]
+    next_cursor: str | None
 
 
 class ShareToken(Given):
@@ -87,3 +90,30 @@ class OpenedShare(Shown):
 
     bundle_id: str
     expires_at: str
+
+
+class Signature(Shown):
+    """A signature of a statement."""
+
+    keyid: str
+    """SHA-256 of the 32 bytes of the public key."""
+    sig: str
+    """Ed25519 signature, base64."""
+    public_key: str
+    """The 32 bytes of the key, base64: proves no more than that nothing was damaged."""
+
+
+class Provenance(Shown):
+    """A DSSE envelope with an in-toto statement."""
+
+    payloadType: str  # noqa: N815 (as DSSE calls it)
+    payload: str
+    """The statement, JSON in base64."""
+    signatures: list[Signature]
+
+
+class ProvenanceKey(Shown):
+    """The key that verifies what this server signs."""
+
+    keyid: str
+    public_key_pem: str

@@ -6,10 +6,12 @@ from urllib.parse import quote
 
 from sqlalchemy import Connection, func
 
+from lambent_server import label_rows
 from lambent_server.bundle_messages import Bundle, BundleDetail, BundleFile
+from lambent_server.change_messages import BundleChange
 from lambent_server.clock import rfc3339
 from lambent_server.database.schema import bundle_files, bundles, scenes
-from lambent_server.database.tenancy import Tenant, find, rows
+from lambent_server.database.tenancy import Tenant, change, find, rows
 from lambent_server.problems import not_found
 
 SMALL_FIRST = ("thumbnail.webp", "poster.webp")
@@ -18,12 +20,25 @@ LARGE_FIRST = SMALL_FIRST[::-1]
 """The same for a page that shows the object alone."""
 
 
-def require_bundle(connection: Connection, tenant: Tenant, bundle_id: str) -> dict[str, Any]:
+def require_bundle(
+    connection: Connection, tenant: Tenant, bundle_id: str, *, lock: bool = False
+) -> dict[str, Any]:
     """Return the bundle's row."""
-    row = find(connection, tenant, bundles, bundle_id)
+    row = find(connection, tenant, bundles, bundle_id, lock=lock)
     if row is None:
         raise not_found("bundle", bundle_id)
     return dict(row)
+
+
+def change_bundle(
+    connection: Connection, tenant: Tenant, row: dict[str, Any], order: BundleChange
+) -> dict[str, Any]:
+    """Change the labels of a bundle; the caller holds its row."""
+    if order.labels is not None:
+        labels = label_rows.merged(row["labels"], order.labels)
+        label_rows.store(connection, tenant, row["id"], labels)
+        connection.execute(change(tenant, bundles).where(bundles.c.id == row["id"]).values(labels=labels))
+    return require_bundle(connection, tenant, row["id"])
 
 
 def show(connection: Connection, tenant: Tenant, row: Any) -> Bundle:
@@ -52,6 +67,7 @@ def show_all(connection: Connection, tenant: Tenant, found: Sequence[Any]) -> li
             num_files=sizes.get(row["id"], (0, 0.0))[0],
             size_bytes=sizes.get(row["id"], (0, 0.0))[1],
             thumbnail_url=_file_url(row["id"], shown[row["id"]]["path"]) if row["id"] in shown else None,
+            labels=row["labels"] or {},
         )
         for row in found
     ]

@@ -15,7 +15,7 @@ DataOption = Annotated[Path | None, typer.Option(help="Folder of the database, t
 DatabaseOption = Annotated[str | None, typer.Option(help="SQLAlchemy URL; SQLite in --data by default.")]
 
 
-def _settings(**given: Any) -> "Settings":
+def settings_of(**given: Any) -> "Settings":
     """Return the settings; exit with code 2 and one line for each invalid one."""
     from pydantic import ValidationError
     from pydantic_settings import SettingsError
@@ -53,7 +53,7 @@ def serve(
     from lambent_server.logs import configure_logs
     from lambent_server.serving import Ready, ServeError, run
 
-    settings = _settings(
+    settings = settings_of(
         data=data,
         port=port,
         host=host,
@@ -67,7 +67,8 @@ def serve(
     def tell(ready: Ready) -> None:
         typer.echo(f"Lambent serves {ready.url}")
         typer.echo(f"Open (once): {ready.login_url}")
-        typer.echo(f"Key for programs: {ready.key_file}")
+        key = "lambent keys create NAME" if ready.key_file is None else ready.key_file
+        typer.echo(f"Key for programs: {key}")
         sys.stdout.flush()
 
     try:
@@ -101,33 +102,43 @@ def keys(
     from sqlalchemy.exc import SQLAlchemyError
 
     from lambent_server import keys as key_rows
-    from lambent_server.database.engine import Database
-    from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
+    from lambent_server.accounts import audit
+    from lambent_server.accounts.who import operator
+    from lambent_server.database.schema import api_keys
+    from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant, rows
     from lambent_server.problems import Problem
     from lambent_server.secrets import SecretError
+    from lambent_server.services import open_database
+    from lambent_server.shared_secrets import is_data_folder
 
-    settings, tenant = _settings(data=data, database=database), Tenant(DEFAULT_TENANT_ID)
+    settings, tenant = settings_of(data=data, database=database), Tenant(DEFAULT_TENANT_ID)
     if bool(key) == (action is KeyAction.LIST):
         raise typer.BadParameter("create takes a name, revoke and rotate take an id, list takes neither")
-    if not (settings.data / "worker.secret").exists():
+    if not is_data_folder(settings.data):
         typer.echo(f"keys.no_server: {settings.data} is no data folder of a server; say --data", err=True)
         raise typer.Exit(2)
-    opened = Database(settings.database_url)
+    opened = open_database(settings)
     try:
         with opened.write() as connection:
             if action is KeyAction.LIST:
-                for each in key_rows.known(connection, tenant):
+                for each in connection.execute(
+                    rows(tenant, api_keys).order_by(api_keys.c.id.desc())
+                ).mappings():
                     row = key_rows.show(each)
                     ends = f"revoked {row.revoked_at}" if row.revoked_at else row.expires_at or "no end"
                     typer.echo(
                         "\t".join((row.id, row.name, row.created_at, row.last_used_at or "unused", ends))
                     )
             elif action is KeyAction.CREATE:
-                typer.echo(key_rows.create(connection, tenant, key_rows.NewKey(name=key)).key)
+                made = key_rows.create(connection, tenant, key_rows.NewKey(name=key))
+                typer.echo(made.key)
+                key = made.id
             elif action is KeyAction.ROTATE:
                 typer.echo(key_rows.rotate(connection, tenant, key, settings.data).key)
             else:
                 key_rows.revoke(connection, tenant, key)
+            if action is not KeyAction.LIST:
+                audit.record(connection, operator(tenant), f"keys {action}", key)
     except (Problem, ValidationError, SecretError, OSError, SQLAlchemyError) as error:
         code = error.code if isinstance(error, Problem) else "failed"
         text = error.detail if isinstance(error, Problem) else str(error).splitlines()[0]

@@ -6,61 +6,95 @@ nothing has changed, so a server may end at any point: the next one waits as lon
 
 import shutil
 import threading
+import time
 from collections import Counter
 from typing import Any
 
 import structlog
-from sqlalchemy import Connection, not_, or_
 from sqlalchemy.exc import SQLAlchemyError
 
-from lambent_server.clock import LivedTime, now
-from lambent_server.database.leadership import Leadership
+from lambent_server.clock import now
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
-from lambent_server.executors import Executor, Gone, Launch
-from lambent_server.housekeeping import sweep
+from lambent_server.executors import (
+    Executor,
+    ExecutorAwayError,
+    Gone,
+    Handle,
+    Launch,
+    Room,
+    is_placed,
+    run_name,
+)
+from lambent_server.housekeeping import is_more_due, sweep
 from lambent_server.job_rows import (
     CANCELLING,
+    ENDED,
     FINAL,
-    HAS_RUN,
     QUEUED,
     RETRY_WAIT,
     RUNNING,
     Job,
+    in_state,
+    is_observed,
     move,
     set_fields,
 )
+from lambent_server.membership import Membership, full_handle
 from lambent_server.metrics import RUNS_STARTED
-from lambent_server.outcomes import Failure, fail, lose, settle_cancel
-from lambent_server.render_rows import waits_for_parts
+from lambent_server.outcomes import Failure, fail, judge, wait_for_room
+from lambent_server.queue_order import QueueOrder
+from lambent_server.run_clocks import RunClocks
 from lambent_server.secrets import run_token
+from lambent_server.server_state import DRAIN, Notices
 from lambent_server.services import Services
+from lambent_server.worker_certificates import ServerAddress
 
 log = structlog.get_logger()
 
-# A longer pause between two rounds means that the machine slept or the server was stopped.
-_LONGEST_PAUSE_TICKS = 10
+STUCK_S = 30.0
+_KILLED_S = 2.0
+"""How long the end of processes is waited for that were killed."""
 
 
 class Controller:
-    """Starts queued jobs, monitors running ones and completes those that have ended."""
+    """Starts queued jobs, monitors running ones and completes those that have ended.
 
-    def __init__(self, services: Services, executor: Executor, *, secret: str, address: str) -> None:
+    Each server has its own runs. The leader also looks after those of servers that do not live any more, by
+    their heartbeats if it cannot see their processes, and does what concerns all jobs.
+    """
+
+    def __init__(
+        self,
+        services: Services,
+        executor: Executor,
+        membership: Membership,
+        *,
+        secret: str,
+        server_address: ServerAddress,
+    ) -> None:
         self._services = services
         self._settings = services.settings
         self._executor = executor
+        self._members = membership
         self._secret = secret
-        self._address = address
-        self.lived = LivedTime(_LONGEST_PAUSE_TICKS * self._settings.tick_s)
-        self._seen: dict[tuple[str, str], tuple[Any, float]] = {}
+        self._server_address = server_address
+        self.clocks = RunClocks(self._settings)
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._paused = False
-        self._leadership = Leadership(services.database)
+        self._notices = Notices(services.database)
         self._swept_at = 0.0
         self._thread = threading.Thread(target=self._loop, name="controller", daemon=True)
         self.turned_at = now()
+        # Another server leads while this one's loop does nothing.
+        membership.is_fit = lambda: not self.is_stuck
         services.wakeups.listen(self._wake.set)
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether no job was looked at for so long that another server should lead."""
+        return now() - self.turned_at > STUCK_S + 10 * self._settings.tick_s
 
     def start(self) -> None:
         """Start the loop in its own thread."""
@@ -69,89 +103,147 @@ class Controller:
     def close(self, *, stop_runs: bool) -> None:
         """Stop the loop and, with `stop_runs`, the run processes; otherwise the next server adopts them."""
         self._paused = True
-        if stop_runs and self._leadership.held():
-            self._stop_runs()
+        if stop_runs and self._members.controls:
+            try:
+                self._stop_runs()
+            except (SQLAlchemyError, OSError):
+                log.exception("runs_not_stopped")
         self._stopping.set()
         self._wake.set()
         if self._thread.is_alive():
             self._thread.join(timeout=5)
-        self._leadership.close()
+        if not self._thread.is_alive() and self._members.controls:
+            # What has ended meanwhile would otherwise have to be missed by another server first.
+            self._try_to_turn()
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
-            try:
-                if self._leadership.held():
-                    self.turn()
+            if not self._members.controls or self._try_to_turn():
                 self.turned_at = now()
-            except (SQLAlchemyError, OSError):
-                # The database or the disk is unavailable; the rows say what to do once it is back.
-                log.exception("controller_turn_failed")
+            else:
                 self._stopping.wait(self._settings.tick_s)
             self._wake.wait(self._settings.tick_s)
             self._wake.clear()
 
+    def _try_to_turn(self) -> bool:
+        try:
+            self.turn()
+        except (SQLAlchemyError, OSError):
+            # The database or the disk is unavailable; the rows say what to do once it is back.
+            log.exception("controller_turn_failed")
+            return False
+        return True
+
     def turn(self) -> None:
-        """Process every job once."""
-        changed = False
-        observed = self._read(or_(jobs.c.state.in_(HAS_RUN), jobs.c.handle.is_not(None)))
+        """Process once every job that this server has to look after."""
+        changed, leads = False, self._members.leads
+        # Before the rows: a run has its row before it has processes.
+        runs = self._executor.runs()
+        observed = self._read(is_observed())
+        mine = [job for job in observed if self._is_mine(job)]
+        orphans = [job for job in observed if self._is_orphan(job)]
         # Only now: while the database is unavailable, no run can report that it is alive.
-        self.lived.pass_on()
-        known = {job["id"] for job in observed}
-        self._seen = {key: value for key, value in self._seen.items() if key[0] in known}
-        for job in observed:
+        self.clocks.pass_on(observed, (*mine, *orphans) if leads else mine)
+        for job in mine:
             changed |= self._observe(job)
-        due = jobs.c.retry_at <= now()
-        for job in self._read(jobs.c.state == RETRY_WAIT, due):
+            self.turned_at = now()
+        for job in orphans:
+            # The leader may have no part in the cluster of the run: every server that has takes runs over.
+            if is_placed(job["handle"]) and self._executor.adopt(job["handle"]):
+                self._take_over(job)
+            elif leads:
+                changed |= self._observe(job) if self._sees(job) else self._observe_from_afar(job)
+            self.turned_at = now()
+        for run in runs - {run_name(job["id"], job["run"]) for job in observed}:
+            self._executor.forget(run)
+        due = (
+            self._read(in_state(RETRY_WAIT), jobs.c.retry_at <= now(), order=jobs.c.retry_at) if leads else ()
+        )
+        for job in due:
             with self._services.database.write() as connection:
                 changed |= move(connection, job, QUEUED, "next try", retry_at=None)
-        if not self._paused:
+        if not self._paused and DRAIN not in self._notices.now():
             changed |= self._start_queued()
-        if now() - self._swept_at > self._settings.garbage_after_s / 2:
-            self._swept_at = now()
+        if leads and not self._paused and now() - self._swept_at > self._settings.garbage_after_s / 2:
             sweep(self._services)
+            self._swept_at = 0.0 if is_more_due(self._services) else now()
         if changed:
             self._services.wakeups.signal()
 
-    def _read(self, *conditions: Any) -> list[Job]:
-        with self._services.database.read() as connection:
-            statement = across_tenants(jobs).where(*conditions).order_by(jobs.c.id)
-            return [dict(row) for row in connection.execute(statement).mappings()]
+    def _is_mine(self, job: Job) -> bool:
+        """Return whether this server has started the run, in this life or an earlier one."""
+        if self._members.is_alone:
+            return True
+        handle = job["handle"] or {}
+        # The release before did not say who has started a run.
+        return handle["server"] == self._members.id if "server" in handle else self._sees(job)
 
-    def _unchanged_s(self, job: Job, what: str, value: Any) -> float:
-        """Return for how many seconds of this server's running time `value` has not changed."""
-        key = (job["id"], what)
-        before, since = self._seen.get(key, (None, 0.0))
-        if key not in self._seen or before != value:
-            since = self.lived.seconds
-            self._seen[key] = (value, since)
-        return self.lived.seconds - since
+    def _is_orphan(self, job: Job) -> bool:
+        """Return whether the server that has started the run is dead."""
+        return not self._is_mine(job) and not self._members.is_alive((job["handle"] or {}).get("server", ""))
+
+    def _sees(self, job: Job) -> bool:
+        handle = job["handle"] or {}
+        return is_placed(handle) and self._executor.sees(handle)
+
+    def _read(self, *conditions: Any, order: Any = jobs.c.id) -> list[Job]:
+        with self._services.database.read() as connection:
+            statement = across_tenants(jobs).where(*conditions).order_by(order)
+            return [dict(row) for row in connection.execute(statement).mappings()]
 
     def _observe(self, job: Job) -> bool:
         handle = job["handle"] or {}
-        placed = "pid" in handle
-        gone = self._executor.poll(handle) if placed else None
+        placed = is_placed(handle)
+        try:
+            has_reported = job["heartbeat_at"] is not None
+            gone = self._executor.poll(handle, has_reported=has_reported) if placed else None
+        except ExecutorAwayError:
+            return self._observe_from_afar(job)
         if gone is not None:
             return self._settle(job, gone)
         if not placed:
             # Started by a server that ended before it stored the handle; a live run registers itself.
-            silent_s = self._unchanged_s(job, "heartbeat", (job["run"], job["heartbeat_at"]))
-            return silent_s > self._settings.lost_after_s and self._settle(job, Gone(None))
+            return self.clocks.is_silent(job) and self._settle(job, Gone(None))
         if job["state"] in FINAL or job["state"] in (QUEUED, RETRY_WAIT):
             return self._end(job, asked=True)
         if job["state"] == CANCELLING or job["stop_reason"] is not None:
             return self._end(job, asked=job["stop_at"] is not None)
-        still_s = self._unchanged_s(job, "progress", (job["run"], job["progress_at"]))
-        stage = (job["progress"] or {}).get("stage", "")
-        if still_s > self._settings.stall_limit(stage):
-            log.warning("run_stalled", job=job["id"], run=job["run"], stage=stage, still_s=still_s)
-            with self._services.database.write() as connection:
-                set_fields(connection, job, stop_reason="stall", stop_at=now())
+        if self.clocks.stall_s(job) and self._stop_stalled(job):
             self._executor.stop(handle, force=False)
         return False
 
+    def _observe_from_afar(self, job: Job) -> bool:
+        """Judge a run that cannot be seen by what it says itself: it is told to stop with its heartbeat.
+
+        One that was cancelled and has said that it ends is taken at its word.
+        """
+        if self.clocks.is_silent(job) or (job["state"] == CANCELLING and job["stop_reason"] == ENDED):
+            return self._settle(job, Gone(None))
+        if job["state"] == RUNNING and job["stop_reason"] is None and self.clocks.stall_s(job):
+            self._stop_stalled(job)
+        return False
+
+    def _take_over(self, job: Job) -> None:
+        """Make a run of a dead server one of this server, which sees it as well."""
+        with self._services.database.write() as connection:
+            fresh = across_tenants(jobs).where(jobs.c.id == job["id"]).with_for_update()
+            now_there = connection.execute(fresh).mappings().one_or_none()
+            if now_there is not None and now_there["handle"] == job["handle"]:
+                set_fields(connection, job, handle={**job["handle"], "server": self._members.id})
+                log.info("run_taken_over", job=job["id"], run=job["run"], server=job["handle"].get("server"))
+
+    def _stop_stalled(self, job: Job) -> bool:
+        """Note that a run has to end because it does no steps."""
+        stage = (job["progress"] or {}).get("stage", "")
+        still_s = self.clocks.stall_s(job)
+        log.warning("run_stalled", job=job["id"], run=job["run"], stage=stage, still_s=still_s)
+        with self._services.database.write() as connection:
+            set_fields(connection, job, stop_reason="stall", stop_at=now())
+        return True
+
     def _end(self, job: Job, *, asked: bool) -> bool:
         """Ask a process that should not be running to exit, and kill it after the grace time."""
-        waited_s = self._unchanged_s(job, "ending", job["run"])
+        waited_s = self.clocks.unchanged_s(job, "ending", job["run"])
         if not asked:
             with self._services.database.write() as connection:
                 set_fields(connection, job, stop_at=now())
@@ -166,8 +258,12 @@ class Controller:
         with self._services.database.write() as connection:
             # The run's last report may have arrived after the row was read.
             statement = across_tenants(jobs).where(jobs.c.id == job["id"]).with_for_update()
-            job = dict(connection.execute(statement).mappings().one())
-            changed = self._judge(connection, job, gone)
+            fresh = connection.execute(statement).mappings().one_or_none()
+            if fresh is None or _which_run(fresh) != _which_run(job):
+                # Another server was faster.
+                return False
+            job = dict(fresh)
+            changed = judge(connection, job, gone, self._settings)
         if changed and job["handle"] is not None:
             self._tidy(job)
         return changed
@@ -182,50 +278,35 @@ class Controller:
         if state in FINAL:
             shutil.rmtree(folder / "scene", ignore_errors=True)
 
-    def _judge(self, connection: Connection, job: Job, gone: Gone) -> bool:
-        set_fields(connection, job, handle=None)
-        if job["state"] == CANCELLING:
-            return settle_cancel(connection, job)
-        if job["state"] != RUNNING:
-            return True
-        if job["stop_reason"] == "stall":
-            message = "no step was done for too long; see the log"
-            return fail(connection, job, Failure("stalled", "run_stalled", message), self._settings)
-        if gone.exit_code is not None and gone.exit_code > 0:
-            message = f"the run process ended with code {gone.exit_code}; see the log"
-            return fail(connection, job, Failure("internal", "run_crashed", message), self._settings)
-        how = "the process is gone" if not gone.exit_code else f"signal {-gone.exit_code}"
-        log.warning("run_lost", job=job["id"], run=job["run"], how=how)
-        return lose(connection, job, how, self._settings)
-
     def _start_queued(self) -> bool:
-        waiting = self._read(jobs.c.state == QUEUED, jobs.c.handle.is_(None), not_(waits_for_parts()))
-        if not waiting:
+        """Start jobs while there is room for them; several servers take from the same queue."""
+        busy = self._read(is_observed())
+        own = [job["handle"] or {} for job in busy if self._is_mine(job)]
+        others = [job["handle"] or {} for job in busy if not self._is_mine(job)]
+        room = self._executor.room(own, others)
+        free = room.most_gpus()
+        if free is None:
             return False
-        busy = self._read(jobs.c.handle.is_not(None) | jobs.c.state.in_(HAS_RUN))
-        in_use = {gpu for job in busy for gpu in (job["handle"] or {}).get("gpus", ())}
-        free = [gpu for gpu in range(self._services.local_gpus) if gpu not in in_use]
         load = Counter(job["tenant_id"] for job in busy)
-        slots = self._settings.local_slots - len(busy)
+        with self._services.database.read() as connection:
+            queue = QueueOrder(connection, load, free)
         started = False
-        # Highest priority first, then the tenant with the fewest running jobs, then the oldest job.
-        while waiting and slots > 0:
-            waiting.sort(key=lambda job: (-job["priority"], load[job["tenant_id"]], job["id"]))
-            job = waiting.pop(0)
-            if job["gpus"] > len(free):
-                continue
-            gpus, free = tuple(free[: job["gpus"]]), free[job["gpus"] :]
-            if self._start(job, gpus):
+        while free is not None:
+            with self._services.database.read() as connection:
+                job = queue.next(connection, free)
+            if job is None:
+                break
+            if self._start(job, room):
                 started = True
-                slots -= 1
                 load[job["tenant_id"]] += 1
+            free = room.most_gpus()
         return started
 
     def _work_dir(self, job: Job) -> Any:
         return self._settings.runs / job["id"] / f"run-{job['run']}"
 
-    def _start(self, job: Job, gpus: tuple[int, ...]) -> bool:
-        run = job["run"] + 1
+    def _start(self, job: Job, room: Room) -> bool:
+        run, gpus = job["run"] + 1, room.take(job["gpus"])
         with self._services.database.write() as connection:
             moved = move(
                 connection,
@@ -240,21 +321,31 @@ class Controller:
                 report_seq=0,
                 stop_reason=None,
                 stop_at=None,
-                handle={"gpus": list(gpus)},
+                handle=self._placed({"gpus": list(gpus)}),
             )
+        # Not moved if another server was faster.
         if not moved:
             return False
         job = {**job, "run": run, "state": RUNNING}
         launch = Launch(
             job_id=job["id"],
             run=run,
-            address=self._address,
+            address=self._server_address.address,
             token=run_token(self._secret, job["id"], run),
             work_dir=self._work_dir(job),
+            num_gpus=job["gpus"],
             gpus=gpus,
+            servers=tuple(self._members.endpoints(self._members.host)),
+            authority=self._server_address.authority,
+            authority_name=self._server_address.authority_name,
         )
         try:
-            handle = self._executor.start(launch)
+            handle = self._placed(self._executor.start(launch))
+        except ExecutorAwayError as error:
+            with self._services.database.write() as connection:
+                wait_for_room(connection, job, str(error), self._settings)
+                set_fields(connection, job, handle=None)
+            return True
         except OSError as error:
             log.exception("run_not_started", job=job["id"], run=run)
             with self._services.database.write() as connection:
@@ -263,19 +354,37 @@ class Controller:
                 set_fields(connection, job, handle=None)
             return True
         RUNS_STARTED.inc()
-        log.info("run_started", job=job["id"], run=run, pid=handle["pid"], gpus=handle["gpus"])
+        log.info("run_started", job=job["id"], run=run, pid=handle.get("pid"), gpus=handle["gpus"])
         with self._services.database.write() as connection:
             set_fields(connection, job, handle=handle)
         return True
 
+    def _placed(self, handle: Handle) -> Handle:
+        return full_handle(self._members, handle, self._settings.executor)
+
     def _stop_runs(self) -> None:
-        """Stop every run process within the grace time; they first write a checkpoint if they can."""
-        deadline = now() + self._settings.shutdown_grace_s
-        alive = [job for job in self._read(jobs.c.handle.is_not(None)) if "pid" in job["handle"]]
-        for job in alive:
-            self._executor.stop(job["handle"], force=False)
-        while alive and now() < deadline:
-            self._stopping.wait(0.1)
-            alive = [job for job in alive if self._executor.poll(job["handle"]) is None]
-        for job in alive:
-            self._executor.stop(job["handle"], force=True)
+        """Stop this server's run processes within `stop_runs_s`; they write a checkpoint if they can.
+
+        Not those on other machines, which another server looks after, or this one when it starts again.
+        """
+        if self._executor.runs_elsewhere:
+            return
+        held = self._read(jobs.c.handle.is_not(None))
+        alive = [job for job in held if is_placed(job["handle"]) and self._is_mine(job)]
+        for force, wait_s in ((False, self._settings.stop_runs_s), (True, _KILLED_S)):
+            for job in alive:
+                self._executor.stop(job["handle"], force=force)
+            until = time.monotonic() + wait_s
+            while alive and time.monotonic() < until:
+                self._stopping.wait(0.1)
+                alive = [job for job in alive if self._is_alive(job["handle"])]
+
+    def _is_alive(self, handle: Handle) -> bool:
+        try:
+            return self._executor.poll(handle) is None
+        except ExecutorAwayError:
+            return True
+
+
+def _which_run(job: Job) -> tuple[int, bool]:
+    return job["run"], is_placed(job["handle"])

@@ -1,13 +1,16 @@
-"""Headers of OpenEXR and Radiance files: format and size, without decoding a pixel."""
+"""Headers of OpenEXR and Radiance files: format and size, without decoding a pixel.
+
+Read in a process of its own (`decoding`).
+"""
 
 import re
 import struct
 from dataclasses import dataclass
-from pathlib import Path
 
 from lambent_server.problems import Problem, invalid
 
 HEAD_BYTES = 64 * 1024
+MEDIA_TYPES = {"exr": "image/x-exr", "hdr": "image/vnd.radiance"}
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d{1,9}) ([-+][XY]) (\d{1,9})\n")
 
@@ -19,17 +22,17 @@ class EnvironmentHead:
     format: str
     width: int
     height: int
-    media_type: str
 
 
 def _broken(message: str) -> Problem:
     return invalid("environment_invalid", "#", message)
 
 
-def read_head(path: Path, max_pixels: int) -> EnvironmentHead:
-    """Return the file's format and size; raises `environment_invalid` if it is not a usable environment."""
-    with path.open("rb") as file:
-        head = file.read(HEAD_BYTES)
+def parse_head(head: bytes, max_pixels: int) -> EnvironmentHead:
+    """Return format and size from the first `HEAD_BYTES` of a file.
+
+    Raises `environment_invalid` if it is not a usable environment.
+    """
     if head.startswith(_EXR_MAGIC):
         result = _read_exr(head, max_pixels)
     elif head.startswith((b"#?RADIANCE", b"#?RGBE")):
@@ -62,7 +65,7 @@ def _read_exr(head: bytes, max_pixels: int) -> EnvironmentHead:
         width, height = right - left + 1, bottom - top + 1
         values += max(width, 0) * max(height, 0) * len(names)
         if {b"R", b"G", b"B"} <= set(names):
-            coloured.append(EnvironmentHead("exr", width, height, "image/x-exr"))
+            coloured.append(EnvironmentHead("exr", width, height))
         # The last of several headers is followed by an empty one.
         if not several or head[at : at + 1] in (b"\0", b""):
             break
@@ -116,4 +119,4 @@ def _read_hdr(head: bytes) -> EnvironmentHead:
     first, rows, _, columns = match.groups()
     if not first.endswith(b"Y"):
         raise _broken("only Radiance files that are stored row by row are supported")
-    return EnvironmentHead("hdr", int(columns), int(rows), "image/vnd.radiance")
+    return EnvironmentHead("hdr", int(columns), int(rows))

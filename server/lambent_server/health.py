@@ -9,10 +9,13 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 
+from lambent_server.server_state import Notices
 from lambent_server.services import Services
 from lambent_server.settings import Settings
 
 PROBE_S = 1.0
+NOTICES = "notices"
+"""The check that names what operators have told the server, or an error: nothing that works or does not."""
 PROBE_BYTES = 4096
 
 
@@ -20,9 +23,11 @@ class Health:
     """Runs each check at most once at a time."""
 
     def __init__(self, services: Services) -> None:
+        notices = Notices(services.database)
         self._probes: dict[str, Callable[[], str]] = {
             "database": lambda: services.database.probe(PROBE_S),
             "disk": lambda: probe_disk(services.settings),
+            NOTICES: lambda: " ".join(sorted(notices.now())),
         }
         self._asked: dict[str, Future[str]] = {}
 

@@ -4,7 +4,7 @@ from sqlalchemy import Connection
 
 from lambent_server.clock import now
 from lambent_server.database.schema import idempotency_keys
-from lambent_server.database.tenancy import Tenant, add_if_absent, rows
+from lambent_server.database.tenancy import Tenant, add_if_absent, change, remove, rows
 from lambent_server.problems import invalid
 
 
@@ -26,3 +26,15 @@ def made_before(
         message = "this key was used with another body; use a new key for a new request"
         raise invalid("idempotency_key_reused", "#/header/Idempotency-Key", message)
     return str(row["job_id"])
+
+
+def point_to(connection: Connection, tenant: Tenant, key: str | None, identifier: str) -> None:
+    """Replace the id stored under a new key, where it was not known before."""
+    if key is not None:
+        statement = change(tenant, idempotency_keys).where(idempotency_keys.c.key == key)
+        connection.execute(statement.values(job_id=identifier))
+
+
+def forget(connection: Connection, tenant: Tenant, identifier: str) -> None:
+    """Forget the keys of something deleted: the same request makes a new one."""
+    connection.execute(remove(tenant, idempotency_keys).where(idempotency_keys.c.job_id == identifier))

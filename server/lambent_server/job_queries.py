@@ -6,32 +6,44 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from sqlalchemy import Connection, func, or_, select
+from sqlalchemy import Connection
 
-from lambent_server import bake_rows
+from lambent_server import bake_rows, job_counts, label_rows
+from lambent_server.accounts import quotas
+from lambent_server.change_messages import JobChange
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import job_labels, jobs, scenes
 from lambent_server.database.tenancy import Tenant, add, find, rows
 from lambent_server.idempotency import made_before
+from lambent_server.job_pages import Wanted, page
 from lambent_server.job_parameters import SIZE_STEP, odd_size
 from lambent_server.job_rows import (
     CANCELLED,
     CANCELLING,
     FINAL,
+    HAS_RUN,
     QUEUED,
     RETRY_WAIT,
     RUNNING,
     NewEvent,
     append_event,
+    is_unfinished,
     move,
+    set_fields,
 )
+from lambent_server.membership import most_gpus
 from lambent_server.messages import Event, Job, NewJob, Preset
-from lambent_server.pagination import select_newest
+from lambent_server.pagination import read_page
 from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
 from lambent_server.services import Services
 from lambent_server.store import blob_url
+from lambent_server.webhook_outbox import tell
+from lambent_server.webhook_rows import check_url
 
 Row = dict[str, Any]
+
+LEAST_RESERVED_S = 60.0
+"""GPU time that a job counts until it has ended, if its preset has no time budget."""
 
 
 @cache
@@ -91,6 +103,7 @@ def _show(row: Any, scene: Any) -> Job:
                 "priority",
                 "labels",
                 "seed",
+                "webhook",
                 "state",
                 "run",
                 "progress",
@@ -117,7 +130,7 @@ def show_event(row: Any) -> Event:
 
 def order_of(row: Row) -> NewJob:
     """Return the request with which the job was submitted."""
-    names = ["scene_id", "preset", "params", "gpus", "priority", "labels", "kind", "seed"]
+    names = ["scene_id", "preset", "params", "gpus", "priority", "labels", "kind", "seed", "webhook"]
     return NewJob(**{name: row[name] for name in names})
 
 
@@ -144,7 +157,7 @@ def submit(
     connection: Connection, tenant: Tenant, order: NewJob, services: Services, job_id: str | None = None
 ) -> Row:
     """Add a job to the queue; raises the problem if it cannot be accepted."""
-    gpus = _check_order(order, services)
+    gpus = _check_order(connection, order, services)
     scene = find(connection, tenant, scenes, order.scene_id)
     if scene is None:
         raise Problem(
@@ -162,13 +175,18 @@ def submit(
             "this scene cannot be used; fix the problems listed in `findings`",
             findings=findings,
         )
+    if order.webhook is not None:
+        check_url(order.webhook, services.settings, "#/webhook")
     if order.kind == bake_rows.KIND:
         bake_rows.check_order(connection, tenant, order)
-    check_quota(connection, tenant, services, 1)
+    budget_s = require_preset(order.preset).budget_s if order.kind == "train" else None
+    reserved_s = gpus * max(budget_s or 0.0, LEAST_RESERVED_S)
+    check_quota(connection, tenant, services, 1, reserved_s)
     return insert_job(
         connection,
         tenant,
         job_id,
+        gpu_s_reserved=reserved_s or None,
         kind=order.kind,
         scene_id=order.scene_id,
         preset=order.preset,
@@ -177,26 +195,37 @@ def submit(
         priority=order.priority,
         labels=order.labels,
         seed=order.seed,
+        webhook=order.webhook,
     )
 
 
-def check_quota(connection: Connection, tenant: Tenant, services: Services, num_jobs: int) -> None:
-    """Refuse more unfinished jobs than the tenant may have."""
-    if connection.dialect.name == "postgresql":
-        # No other transaction can count until this one ends: SQLite has only one writer anyway.
-        connection.execute(select(func.pg_advisory_xact_lock(func.hashtext(f"quota {tenant.id}"))))
-    active = rows(tenant, jobs, func.count()).where(jobs.c.state.not_in(FINAL))
-    in_use = connection.execute(active).scalar_one()
-    limit = services.settings.max_queued_jobs
-    if in_use + num_jobs > limit:
-        raise Problem(
-            429,
-            "quota_jobs",
-            f"{in_use} jobs are unfinished, {limit} are allowed",
-            retryable=True,
-            headers={"retry-after": "30"},
-            members={"quota": {"name": "max_queued_jobs", "limit": limit, "used": in_use}},
-        )
+def num_unfinished(connection: Connection, tenant: Tenant) -> int:
+    """Return how many jobs of the tenant have not ended."""
+    counts = job_counts.of_tenant(connection, tenant)
+    return sum(num_jobs for state, num_jobs in counts.items() if state not in FINAL)
+
+
+def check_quota(
+    connection: Connection, tenant: Tenant, services: Services, num_jobs: int, gpu_s: float = 0.0
+) -> None:
+    """Refuse more unfinished jobs, or jobs of so many GPU seconds, than the tenant may have."""
+    quotas.lock(connection, tenant)
+    limits = quotas.quotas_of(connection, tenant, services.settings)
+    quotas.check_jobs(limits.jobs, num_unfinished(connection, tenant), num_jobs)
+    if gpu_s and limits.gpu_minutes is not None:
+        used = quotas.month_used(connection, tenant) + promised_gpu_minutes(connection, tenant)
+        quotas.check_gpu_minutes(limits.gpu_minutes, used, gpu_s / 60.0)
+
+
+def promised_gpu_minutes(connection: Connection, tenant: Tenant) -> float:
+    """Return what unfinished jobs count: what was reserved for them, or what their run has used if more."""
+    columns = (jobs.c.gpus, jobs.c.gpu_s_reserved, jobs.c.state, jobs.c.run_started_at)
+    statement = rows(tenant, jobs, *columns).where(jobs.c.gpus > 0, is_unfinished())
+    total_s = 0.0
+    for gpus, reserved_s, state, began in connection.execute(statement):
+        used_s = gpus * (now() - began) if state in HAS_RUN and began is not None else 0.0
+        total_s += max(reserved_s or 0.0, used_s)
+    return total_s / 60.0
 
 
 def insert_job(
@@ -211,11 +240,27 @@ def insert_job(
     identifier = job_id or new_id("job")
     common = {"state": QUEUED, "created_at": now(), "updated_at": now(), "adjustments": {}}
     connection.execute(add(tenant, jobs, id=identifier, labels=labels, **values, **common))
-    for name, value in labels.items():
-        connection.execute(add(tenant, job_labels, job_id=identifier, name=name, value=value))
+    label_rows.store(connection, tenant, identifier, labels, job_labels)
     job = require_job(connection, tenant, identifier)
-    append_event(connection, job, NewEvent(type="state", state=QUEUED))
+    seq = append_event(connection, job, NewEvent(type="state", state=QUEUED))
+    tell(connection, job, QUEUED, seq)
     return require_job(connection, tenant, identifier)
+
+
+def change_job(connection: Connection, tenant: Tenant, job: Row, order: JobChange) -> None:
+    """Change labels or priority of a job; the caller holds its row."""
+    values: dict[str, Any] = {}
+    if order.priority is not None and order.priority != job["priority"]:
+        if job["state"] not in (QUEUED, RETRY_WAIT):
+            raise conflict(
+                "job_not_waiting", f"job {job['id']} is {job['state']}; only waiting jobs have a turn"
+            )
+        values["priority"] = order.priority
+    if order.labels is not None:
+        values["labels"] = label_rows.merged(job["labels"], order.labels)
+        label_rows.store(connection, tenant, job["id"], values["labels"], job_labels)
+    if values:
+        set_fields(connection, job, **values)
 
 
 def cancel(connection: Connection, job: Row) -> None:
@@ -226,10 +271,10 @@ def cancel(connection: Connection, job: Row) -> None:
         move(connection, job, CANCELLING, "cancel asked for", stop_reason="cancel", stop_at=None)
 
 
-def _check_order(order: NewJob, services: Services) -> int:
+def _check_order(connection: Connection, order: NewJob, services: Services) -> int:
     """Return how many GPUs the job gets."""
     preset = require_preset(order.preset)
-    available = max_gpus(services)
+    available = max_gpus(connection, services)
     wanted = order.gpus
     if wanted is None:
         wanted = min(preset.gpus, available) if order.kind == "train" else 0
@@ -241,12 +286,15 @@ def _check_order(order: NewJob, services: Services) -> int:
     if wanted > available:
         message = f"a job can have {available} GPU(s) on this server, not {wanted}"
         raise invalid("unsatisfiable_resources", "#/gpus", message)
+    if wanted > 1 and order.kind != "train":
+        message = f"only training can use several GPUs; a job of the kind {order.kind!r} can have one"
+        raise invalid("unsatisfiable_resources", "#/gpus", message)
     return wanted
 
 
-def max_gpus(services: Services) -> int:
-    """Return how many GPUs one job can have; a run uses at most one."""
-    return min(services.local_gpus, 1)
+def max_gpus(connection: Connection, services: Services) -> int:
+    """Return how many GPUs one job can have: all of the machine with most of them."""
+    return most_gpus(connection, services.capacity.max_gpus())
 
 
 def select_page(
@@ -267,24 +315,12 @@ def select_page(
     `words` are part of the scene's name, in any case, or begin the job's id or its preset's name.
     """
 
-    def narrow(statement: Any) -> Any:
-        if scene_id is not None:
-            statement = statement.where(jobs.c.scene_id == scene_id)
-        if states:
-            statement = statement.where(jobs.c.state.in_(states))
-        if kinds:
-            statement = statement.where(jobs.c.kind.in_(kinds))
-        if words:
-            named = rows(tenant, scenes, scenes.c.id).where(scenes.c.name.icontains(words, autoescape=True))
-            begins = (column.startswith(words, autoescape=True) for column in (jobs.c.id, jobs.c.preset))
-            statement = statement.where(or_(jobs.c.scene_id.in_(named), *begins))
-        for name, value in labels:
-            labelled = rows(tenant, job_labels, job_labels.c.job_id).where(
-                job_labels.c.name == name, job_labels.c.value == value
-            )
-            statement = statement.where(jobs.c.id.in_(labelled))
-        return statement
-
-    return select_newest(
-        connection, tenant, jobs, limit=limit, cursor=cursor, narrow=narrow, oldest_first=oldest_first
+    wanted = Wanted(states=states, kinds=kinds, labels=labels, scene_id=scene_id, words=words)
+    return read_page(
+        connection,
+        lambda after, num_rows: page(
+            connection, tenant, wanted, after=after, oldest_first=oldest_first, num_rows=num_rows
+        ),
+        limit=limit,
+        cursor=cursor,
     )

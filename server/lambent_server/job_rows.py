@@ -4,12 +4,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, RowMapping
+from sqlalchemy import ColumnElement, Connection, FromClause, RowMapping, and_, literal_column, or_
 
+from lambent_server.accounts.usage import add_gpu_time
 from lambent_server.checkpoint_rows import drop_checkpoints
 from lambent_server.clock import now
+from lambent_server.database.announcing import announce
 from lambent_server.database.schema import events, jobs
 from lambent_server.database.tenancy import Tenant, add, change, rows
+from lambent_server.webhook_outbox import tell
 
 QUEUED = "queued"
 RUNNING = "running"
@@ -19,7 +22,10 @@ SUCCEEDED = "succeeded"
 FAILED = "failed"
 CANCELLED = "cancelled"
 FINAL = frozenset({SUCCEEDED, FAILED, CANCELLED})
+UNFINISHED = (QUEUED, RUNNING, CANCELLING, RETRY_WAIT)
 HAS_RUN = frozenset({RUNNING, CANCELLING})
+ENDED = "ended"
+"""The reason to stop of a cancelled job whose run has said that it ends."""
 
 Job = Mapping[str, Any]
 
@@ -35,6 +41,27 @@ class NewEvent:
     message: str = ""
     sha256: str = ""
     name: str = ""
+
+
+def in_state(*states: str, table: FromClause = jobs) -> ColumnElement[bool]:
+    """Return the condition that a job is in one of these states, written as the conditions of indexes are."""
+    literals: list[ColumnElement[str]] = [literal_column(f"'{state}'") for state in states]
+    return table.c.state.in_(literals) if len(states) > 1 else table.c.state == literals[0]
+
+
+def is_unfinished(table: FromClause = jobs) -> ColumnElement[bool]:
+    """Return the condition that a job has not ended."""
+    return in_state(*UNFINISHED, table=table)
+
+
+def is_observed() -> ColumnElement[bool]:
+    """Return the condition that a job has a run or a process, which the index of observed jobs serves."""
+    return or_(in_state(RUNNING, CANCELLING), jobs.c.handle.is_not(None))
+
+
+def is_startable(table: FromClause = jobs) -> ColumnElement[bool]:
+    """Return the condition that a job is queued and has no process, which the index of the queue serves."""
+    return and_(in_state(QUEUED, table=table), table.c.handle.is_(None))
 
 
 def owner(job: Job) -> Tenant:
@@ -67,6 +94,7 @@ def append_event(connection: Connection, job: Job, event: NewEvent) -> int:
             name=event.name,
         )
     )
+    announce(connection)
     return seq
 
 
@@ -85,13 +113,18 @@ def move(connection: Connection, job: Job, state: str, message: str = "", **valu
         change(owner(job), jobs)
         .where(jobs.c.id == job["id"], jobs.c.state == job["state"], jobs.c.run == job["run"])
         .values(state=state, updated_at=now(), **values)
+        .returning(jobs.c.gpus, jobs.c.run_started_at)
     )
-    if connection.execute(statement).rowcount == 0:
+    moved = connection.execute(statement).first()
+    if moved is None:
         return False
+    if moved.gpus and job["state"] in HAS_RUN and state not in HAS_RUN:
+        add_gpu_time(connection, owner(job), moved.gpus, moved.run_started_at, now())
     if state in FINAL:
         drop_checkpoints(connection, owner(job), job["id"])
     event = NewEvent(type="state", state=state, message=message, run=values.get("run") or job["run"])
-    append_event(connection, job, event)
+    seq = append_event(connection, job, event)
+    tell(connection, {**job, **values}, state, seq)
     return True
 
 

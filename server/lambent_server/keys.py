@@ -7,13 +7,19 @@ from typing import Annotated, Any
 from pydantic import Field
 from sqlalchemy import Connection, func
 
+from lambent_server.accounts import audit
+from lambent_server.accounts.scopes import ALL, ScopeName, joined, parsed
+from lambent_server.accounts.who import operator
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.engine import Database
 from lambent_server.database.schema import api_keys, sessions
 from lambent_server.database.tenancy import Tenant, across_tenants, add, change, find, remove, rows
+from lambent_server.idempotency import made_before
+from lambent_server.membership import server_id
 from lambent_server.messages import Given, Name, Shown
 from lambent_server.problems import conflict, invalid, not_found
 from lambent_server.secrets import new_secret, read_or_create_secret, sha256_text, write_secret
+from lambent_server.shared_secrets import WORKER, lock
 
 FILE = "api.key"
 PREFIX = "lk_"
@@ -26,6 +32,8 @@ class NewKey(Given):
     name: Name
     expires_in_s: Annotated[float, Field(ge=60, le=10 * 365 * 86400)] | None = None
     """If omitted, the key is valid until it is revoked."""
+    scopes: Annotated[list[ScopeName], Field(min_length=1, max_length=len(ALL))] | None = None
+    """What the key may do; if omitted, everything."""
 
 
 class Key(Shown):
@@ -38,45 +46,58 @@ class Key(Shown):
     revoked_at: str | None
     last_used_at: str | None
     """Exact to a minute."""
+    scopes: list[ScopeName]
+    """What it may do; all for keys from before there were any."""
+    user_id: str | None
+    """Whose key it is; null: nobody's in particular."""
 
 
 class KeyList(Shown):
     """The keys of this tenant, newest first."""
 
     items: list[Key]
+    next_cursor: str | None
 
 
 class CreatedKey(Key):
     """A new key with its secret, which is shown only once."""
 
-    key: str
+    key: str | None
+    """Null if the request is a repeat with the same Idempotency-Key: secrets are not stored."""
 
 
 def show(row: Row) -> Key:
     """Return a key in the form of the REST interface."""
     times = ("expires_at", "revoked_at", "last_used_at")
     optional = {name: None if row[name] is None else rfc3339(row[name]) for name in times}
-    return Key(id=row["id"], name=row["name"], created_at=rfc3339(row["created_at"]), **optional)
+    whose = {"scopes": sorted(parsed(row["scopes"])), "user_id": row["user_id"]}
+    return Key(id=row["id"], name=row["name"], created_at=rfc3339(row["created_at"]), **optional, **whose)
 
 
-def known(connection: Connection, tenant: Tenant) -> list[Row]:
-    """Return the keys of `tenant`, newest first, including revoked ones."""
-    statement = rows(tenant, api_keys).order_by(api_keys.c.id.desc()).limit(1000)
-    return [dict(row) for row in connection.execute(statement).mappings()]
-
-
-def create(connection: Connection, tenant: Tenant, order: NewKey) -> CreatedKey:
-    """Create a key."""
+def create(
+    connection: Connection,
+    tenant: Tenant,
+    order: NewKey,
+    key: str | None = None,
+    digest: str = "",
+    user_id: str | None = None,
+) -> CreatedKey:
+    """Create a key, or return without its secret the one created earlier with this idempotency key."""
+    identifier = new_id("key")
+    known = made_before(connection, tenant, key, digest, identifier)
+    if known is not None:
+        return CreatedKey(**show(_require(connection, tenant, known)).model_dump(), key=None)
     if order.name.startswith(FILE):
         raise invalid("key_name_reserved", "#/name", f"names starting with {FILE} are those of key files")
     until = None if order.expires_in_s is None else now() + order.expires_in_s
-    return _issue(connection, tenant, order.name, new_secret(PREFIX), until)
+    scopes = None if order.scopes is None else joined(order.scopes)
+    row = {"id": identifier, "expires_at": until, "scopes": scopes, "user_id": user_id}
+    return _issue(connection, tenant, order.name, new_secret(PREFIX), **row)
 
 
-def _issue(
-    connection: Connection, tenant: Tenant, name: str, secret: str, expires_at: float | None
-) -> CreatedKey:
-    row = {"id": new_id("key"), "name": name, "created_at": now(), "expires_at": expires_at}
+def _issue(connection: Connection, tenant: Tenant, name: str, secret: str, **values: Any) -> CreatedKey:
+    common = {"id": new_id("key"), "created_at": now(), "expires_at": None, "scopes": None, "user_id": None}
+    row = {**common, "name": name, **values}
     connection.execute(add(tenant, api_keys, key_sha256=sha256_text(secret), **row))
     shown = show({**row, "revoked_at": None, "last_used_at": None})
     return CreatedKey(**shown.model_dump(), key=secret)
@@ -90,10 +111,10 @@ def _require(connection: Connection, tenant: Tenant, key_id: str) -> Row:
 
 
 def revoke(connection: Connection, tenant: Tenant, key_id: str) -> None:
-    """Revoke a key, and log out every browser, because the key may have logged one in. Idempotent."""
+    """Revoke a key, and log out every browser without a user: the key may have logged it in. Idempotent."""
     if _require(connection, tenant, key_id)["revoked_at"] is None:
         connection.execute(change(tenant, api_keys).where(api_keys.c.id == key_id).values(revoked_at=now()))
-        connection.execute(remove(tenant, sessions))
+        connection.execute(remove(tenant, sessions).where(sessions.c.user_id.is_(None)))
 
 
 def rotate(connection: Connection, tenant: Tenant, key_id: str, data: Path) -> CreatedKey:
@@ -101,8 +122,10 @@ def rotate(connection: Connection, tenant: Tenant, key_id: str, data: Path) -> C
     row = _require(connection, tenant, key_id)
     if row["revoked_at"] is not None:
         raise conflict("key_revoked", f"key {key_id} is revoked permanently; create another one")
-    fresh = _issue(connection, tenant, row["name"], new_secret(PREFIX), row["expires_at"])
+    kept = {name: row[name] for name in ("expires_at", "scopes", "user_id")}
+    fresh = _issue(connection, tenant, row["name"], new_secret(PREFIX), **kept)
     if row["name"] == _file_name(data):
+        assert fresh.key is not None
         write_secret(data / FILE, fresh.key, replace=True)
     revoke(connection, tenant, key_id)
     return fresh
@@ -114,28 +137,47 @@ def last_revoked_at(connection: Connection, tenant: Tenant) -> float:
 
 
 def _file_name(data: Path) -> str:
-    """Return the name of the key in a data folder; servers that share a database have one each."""
-    return f"{FILE} {sha256_text(read_or_create_secret(data / 'worker.secret'))[:8]}"
+    """Return the name of the key in a data folder, which tells it from those in others."""
+    secret = data / WORKER
+    of_folder = read_or_create_secret(secret) if secret.exists() else server_id(data)
+    return f"{FILE} {sha256_text(of_folder)[:8]}"
 
 
-def accept_file(database: Database, tenant: Tenant, data: Path) -> None:
+def accept_file(database: Database, tenant: Tenant, data: Path) -> bool:
     """Accept the key in `api.key` from now on, and none that the file contained earlier.
 
-    A file that was removed, or whose key was revoked, is replaced by a new one.
+    A file that was removed, or whose key was revoked, is replaced by a new one. Returns False, and creates no
+    file, if there was none and another server on the database has one: the first has the key of all.
     """
-    name, secret = _file_name(data), read_or_create_secret(data / FILE, PREFIX)
+    name = _file_name(data)
     with database.write() as connection:
+        lock(connection)
+        if not (data / FILE).exists() and _is_elsewhere(connection, tenant, name):
+            return False
+        secret = read_or_create_secret(data / FILE, PREFIX)
         known_before = across_tenants(api_keys).where(api_keys.c.key_sha256 == sha256_text(secret))
         row = connection.execute(known_before).mappings().one_or_none()
         if row is not None and row["revoked_at"] is not None:
             secret, row = new_secret(PREFIX), None
             write_secret(data / FILE, secret, replace=True)
-        if row is None:
-            _issue(connection, tenant, name, secret, None)
+        issued = _issue(connection, tenant, name, secret).id if row is None else ""
         of_file = rows(tenant, api_keys, api_keys.c.id).where(
             api_keys.c.name == name,
             api_keys.c.key_sha256 != sha256_text(secret),
             api_keys.c.revoked_at.is_(None),
         )
-        for key_id in list(connection.execute(of_file).scalars()):
+        ended = list(connection.execute(of_file).scalars())
+        for key_id in ended:
             revoke(connection, tenant, key_id)
+        if issued or ended:
+            details = {"revoked": ended}
+            audit.record(connection, operator(tenant), "serve key file", issued, details=details)
+    return True
+
+
+def _is_elsewhere(connection: Connection, tenant: Tenant, name: str) -> bool:
+    """Return whether another data folder has a key that works, and that of the name never had one."""
+    of_files = rows(tenant, api_keys, api_keys.c.name).where(api_keys.c.name.startswith(f"{FILE} "))
+    working = of_files.where(api_keys.c.revoked_at.is_(None))
+    had_one = connection.execute(of_files.where(api_keys.c.name == name)).first() is not None
+    return not had_one and connection.execute(working).first() is not None

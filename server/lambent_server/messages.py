@@ -33,6 +33,10 @@ class NewScene(Given):
     """A scene to upload files to."""
 
     name: Name
+    labels: Annotated[
+        dict[LabelName, SettingValue],
+        Field(max_length=32, json_schema_extra=ONLY_THESE, default_factory=dict),
+    ]
 
 
 class PlannedFile(Given):
@@ -41,13 +45,6 @@ class PlannedFile(Given):
     path: Annotated[str, Field(min_length=1, max_length=240)]
     size: Annotated[int, Field(ge=0, le=2**53), WHOLE]
     sha256: Sha256
-
-
-class Plan(Shown):
-    """The files still to be uploaded, and those that will not be part of the scene."""
-
-    missing: list[Sha256]
-    unsupported: list[str]
 
 
 class Scene(Shown):
@@ -64,6 +61,7 @@ class Scene(Shown):
     content_sha256: str | None
     thumbnail_url: str | None
     """A small photograph of the scene; null before its first check."""
+    labels: dict[str, str]
 
 
 class SceneList(Shown):
@@ -153,8 +151,8 @@ class SceneReportAnswer(SceneReport):
     """Measurements of the capture; null if there are none, or before the scene has been checked."""
 
 
-class NewJob(Given):
-    """A job to submit for a scene; mirrors lambent_proto.v1.JobSpec."""
+class JobOrder(Given):
+    """What a job is to do; mirrors lambent_proto.v1.JobSpec."""
 
     scene_id: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
     preset: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")] = "fast"
@@ -164,6 +162,13 @@ class NewJob(Given):
     labels: Annotated[dict[LabelName, SettingValue], Field(max_length=32, json_schema_extra=ONLY_THESE)] = {}
     kind: NewJobKind = "train"
     seed: Annotated[int, Field(ge=0, le=2**31 - 1), WHOLE] = 0
+
+
+class NewJob(JobOrder):
+    """A job to submit for a scene."""
+
+    webhook: Annotated[str, Field(min_length=1, max_length=2000)] | None = None
+    """Where to tell that it has ended."""
 
 
 class Progress(Shown):
@@ -217,6 +222,7 @@ class Job(Shown):
     thumbnail_url: str | None
     """The newest preview, or the photograph of the scene; null if there is neither."""
     last_event: int
+    webhook: str | None
 
 
 class JobList(Shown):
@@ -245,6 +251,7 @@ class EventList(Shown):
     """Events of a job's history, in order."""
 
     items: list[Event]
+    next_cursor: str | None
 
 
 class Artifact(Shown):
@@ -261,6 +268,7 @@ class ArtifactList(Shown):
     """The files that a job has produced."""
 
     items: list[Artifact]
+    next_cursor: str | None
 
 
 class Environment(Shown):
@@ -281,6 +289,7 @@ class EnvironmentList(Shown):
     """The environments of this tenant, newest first."""
 
     items: list[Environment]
+    next_cursor: str | None
 
 
 class Preset(Shown):
@@ -318,37 +327,6 @@ class Estimate(Shown):
     """Earlier jobs of this preset on this server that were measured; 0: the figures are the budget."""
     num_ahead: int
     """Unfinished jobs that may run first."""
-
-
-class Limits(Shown):
-    """The limits of what the server accepts."""
-
-    max_json_bytes: int
-    max_scene_bytes: int
-    max_scene_files: int
-    max_archive_ratio: float
-    max_environment_bytes: int
-    max_environment_pixels: int
-    max_queued_jobs: int
-    max_batch_pictures: int
-    max_gpus: int
-    max_wait_s: float
-    scene_suffixes: list[str]
-
-
-class Version(Shown):
-    """The version of this server."""
-
-    name: Literal["lambent"]
-    version: str
-    api: Literal["v1"]
-
-
-class Health(Shown):
-    """Whether the server is alive, and the state of its parts."""
-
-    status: Literal["ok", "unavailable"]
-    checks: dict[str, str] = {}
 
 
 class LoginCode(Given):

@@ -3,12 +3,27 @@
 from dataclasses import dataclass
 from typing import Any
 
+import structlog
 from sqlalchemy import Connection
 
 from lambent_server.clock import now
-from lambent_server.job_rows import CANCELLED, FAILED, QUEUED, RETRY_WAIT, SUCCEEDED, Job, move
+from lambent_server.executors import Gone
+from lambent_server.job_rows import (
+    CANCELLED,
+    CANCELLING,
+    FAILED,
+    QUEUED,
+    RETRY_WAIT,
+    RUNNING,
+    SUCCEEDED,
+    Job,
+    move,
+    set_fields,
+)
 from lambent_server.metrics import RUNS_FAILED, RUNS_LOST
 from lambent_server.settings import Settings
+
+log = structlog.get_logger()
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +100,13 @@ def fail(connection: Connection, job: Job, failure: Failure, settings: Settings)
     )
 
 
+def wait_for_room(connection: Connection, job: Job, why: str, settings: Settings) -> bool:
+    """Send a job back to the queue that could not be placed, after a pause and without counting anything."""
+    wait_s = settings.place_retry_s
+    message = f"not placed: {why}; back in the queue in {wait_s:g} s"
+    return move(connection, job, RETRY_WAIT, message, stop_reason=None, retry_at=now() + wait_s)
+
+
 def lose(connection: Connection, job: Job, how: str, settings: Settings) -> bool:
     """Restart a job whose machine or process was lost, unless that has happened too often."""
     RUNS_LOST.inc()
@@ -102,3 +124,23 @@ def lose(connection: Connection, job: Job, how: str, settings: Settings) -> bool
     return move(
         connection, job, FAILED, failure.message, error=_error(failure, job), stop_reason=None, **common
     )
+
+
+def judge(connection: Connection, job: Job, gone: Gone, settings: Settings) -> bool:
+    """Move on the job of a run that has ended without saying how; return whether anything changed."""
+    set_fields(connection, job, handle=None)
+    if job["state"] == CANCELLING:
+        return settle_cancel(connection, job)
+    if job["state"] != RUNNING:
+        return True
+    if gone.not_placed:
+        return wait_for_room(connection, job, gone.not_placed, settings)
+    if job["stop_reason"] == "stall":
+        message = "no step was done for too long; see the log"
+        return fail(connection, job, Failure("stalled", "run_stalled", message), settings)
+    if gone.exit_code is not None and gone.exit_code > 0:
+        message = f"the run process ended with code {gone.exit_code}; see the log"
+        return fail(connection, job, Failure("internal", "run_crashed", message), settings)
+    how = "the process is gone" if not gone.exit_code else f"signal {-gone.exit_code}"
+    log.warning("run_lost", job=job["id"], run=job["run"], how=how)
+    return lose(connection, job, how, settings)

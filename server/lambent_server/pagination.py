@@ -1,15 +1,21 @@
 """Pagination of lists: in the order of their creation, with a cursor for the next page."""
 
 import base64
+import json
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
-from sqlalchemy import Connection, Select, Table
+from sqlalchemy import Column, ColumnElement, Connection, Select, Table, tuple_
 
 from lambent_server.database.tenancy import Tenant, rows
-from lambent_server.problems import invalid
+from lambent_server.problems import Problem, invalid
 
-Cursor = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,100}$")]
+Cursor = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,2000}$")]
+Labels = Annotated[
+    list[Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,63}=[^\x00-\x1f\x7f]{0,200}$")]],
+    Field(max_length=8, description='"name=value"; all must hold', default_factory=list),
+]
 Row = dict[str, Any]
 
 
@@ -22,6 +28,24 @@ class PageFilter(BaseModel):
     cursor: Cursor | None = None
 
 
+class LabelFilter(PageFilter):
+    """The page of a list of what has these labels."""
+
+    label: Labels
+
+
+class LongPageFilter(PageFilter):
+    """The page of a list whose entries are small."""
+
+    limit: Annotated[int, Field(ge=1, le=1000)] = 1000
+
+
+class FilePageFilter(PageFilter):
+    """The page of a list of files."""
+
+    limit: Annotated[int, Field(ge=1, le=10_000)] = 10_000
+
+
 def _cursor(identifier: str) -> str:
     return base64.urlsafe_b64encode(identifier.encode()).decode().rstrip("=")
 
@@ -30,31 +54,78 @@ def _from_cursor(cursor: str) -> str:
     try:
         return base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)).decode("ascii")
     except ValueError as error:
-        message = "pass the cursor from `next_cursor` unchanged"
-        raise invalid("cursor_invalid", "#/query/cursor", message) from error
+        raise _unusable() from error
+
+
+def _unusable() -> Problem:
+    message = "pass the cursor from `next_cursor` unchanged"
+    return invalid("cursor_invalid", "#/query/cursor", message)
+
+
+def select_ordered(
+    connection: Connection,
+    statement: Select[Any],
+    columns: Sequence[Column[Any]],
+    *,
+    limit: int,
+    cursor: str | None,
+) -> tuple[list[Row], str | None]:
+    """Return up to `limit` rows in the order of `columns`, and the cursor of the next page.
+
+    Together the columns are different in every row.
+    """
+    if cursor is not None:
+        statement = statement.where(tuple_(*columns) > tuple_(*_values(cursor, columns)))
+    found = connection.execute(statement.order_by(*columns).limit(limit + 1)).mappings()
+    items = [dict(row) for row in found]
+    if len(items) <= limit:
+        return items, None
+    return items[:limit], _cursor(json.dumps([items[limit - 1][column.name] for column in columns]))
+
+
+def _values(cursor: str, columns: Sequence[Column[Any]]) -> list[Any]:
+    """Return what the last row of the page before had in these columns."""
+    try:
+        values = json.loads(_from_cursor(cursor))
+    except ValueError:
+        values = None
+    kinds = [column.type.python_type for column in columns]
+    if not isinstance(values, list) or [type(value) for value in values] != kinds:
+        raise _unusable()
+    return values
 
 
 def select_newest(
     connection: Connection,
     tenant: Tenant,
     table: Table,
+    *conditions: ColumnElement[bool],
+    limit: int,
+    cursor: str | None,
+) -> tuple[list[Row], str | None]:
+    """Return up to `limit` rows, newest first, and the cursor of the next page."""
+
+    def select_after(last: str | None, num_rows: int) -> Select[Any]:
+        statement = rows(tenant, table).where(*conditions)
+        if last is not None:
+            statement = statement.where(table.c.id < last)
+        return statement.order_by(table.c.id.desc()).limit(num_rows)
+
+    return read_page(connection, select_after, limit=limit, cursor=cursor)
+
+
+def read_page(
+    connection: Connection,
+    select_after: Callable[[str | None, int], Select[Any]],
     *,
     limit: int,
     cursor: str | None,
-    narrow: Any = None,
-    oldest_first: bool = False,
 ) -> tuple[list[Row], str | None]:
-    """Return up to `limit` rows, newest or oldest first, and the cursor of the next page.
+    """Return up to `limit` rows of a query, and the cursor of the next page.
 
-    Identifiers sort by creation time. `narrow` adds conditions to the selection.
+    `select_after` makes the query of so many rows after the row with an id.
     """
-    order = table.c.id.asc() if oldest_first else table.c.id.desc()
-    statement: Select[Any] = rows(tenant, table).order_by(order).limit(limit + 1)
-    if cursor is not None:
-        last = _from_cursor(cursor)
-        statement = statement.where(table.c.id > last if oldest_first else table.c.id < last)
-    if narrow is not None:
-        statement = narrow(statement)
+    statement = select_after(None if cursor is None else _from_cursor(cursor), limit + 1)
     found = [dict(row) for row in connection.execute(statement).mappings()]
     more = len(found) > limit
     return found[:limit], _cursor(found[limit - 1]["id"]) if more else None

@@ -2,11 +2,13 @@
 
 import re
 import unicodedata
+from collections.abc import Iterator
 from pathlib import PurePosixPath
 
 from lambent_server.problems import invalid
 
 MAX_PATH_CHARACTERS = 240
+MAX_PART_BYTES = 255
 # Pictures, poses and tables. Anything else is never stored, let alone loaded.
 SCENE_SUFFIXES = frozenset(
     {
@@ -37,7 +39,8 @@ def path_problem(path: str) -> str | None:
     if any(_RESERVED.fullmatch(part) for part in parts):
         return "a part is a reserved name on Windows"
     try:
-        path.encode("utf-8")
+        if any(len(part.encode("utf-8")) > MAX_PART_BYTES for part in parts):
+            return f"a part has more than {MAX_PART_BYTES} bytes"
     except UnicodeEncodeError:
         return "the path is not valid Unicode"
     return None
@@ -53,7 +56,36 @@ def check_path(path: str, pointer: str) -> str:
 
 def folded(path: str) -> str:
     """Return a key that is equal for paths that clash on file systems which ignore case or composition."""
-    return unicodedata.normalize("NFC", path).casefold()
+    # Composed again after folding, which takes some letters apart.
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFD", path).casefold())
+
+
+class Names:
+    """The paths of a scene so far, none of which clashes with another on any file system."""
+
+    def __init__(self) -> None:
+        self._files: dict[str, str] = {}
+        self._folders: dict[str, str] = {}
+
+    def add(self, path: str) -> str | None:
+        """Return the path that this one clashes with; None if there is none, and this one counts from now on.
+
+        Paths clash that differ in case or composition only, and a file with one that needs it as a folder.
+        """
+        key = folded(path)
+        above = list(_parents(key))
+        clash = self._files.get(key) or self._folders.get(key)
+        clash = clash or next((self._files[each] for each in above if each in self._files), None)
+        if clash is None:
+            self._files[key] = path
+            self._folders |= dict.fromkeys(above, path)
+        return clash
+
+
+def _parents(path: str) -> Iterator[str]:
+    while "/" in path:
+        path = path.rpartition("/")[0]
+        yield path
 
 
 def is_scene_file(path: str) -> bool:

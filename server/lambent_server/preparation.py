@@ -8,7 +8,7 @@ from sqlalchemy import Connection
 from lambent_server.checkpoint_rows import drop_checkpoint, drop_where
 from lambent_server.database.schema import checkpoints, jobs
 from lambent_server.database.tenancy import Tenant, rows
-from lambent_server.job_rows import FINAL, Job
+from lambent_server.job_rows import Job, is_unfinished
 
 KEPT_CHECKPOINTS = 2
 KEPT_WITH_SCENE = frozenset({"cameras", "masks"})
@@ -57,7 +57,7 @@ def drop_superseded(connection: Connection, tenant: Tenant, job: Job, newest: st
     scene_id = scene_of_checkpoint(job, stage)
     if scene_id is not None:
         # An unfinished job with other settings may still need its own.
-        going_on = rows(tenant, jobs, jobs.c.id).where(jobs.c.id != job["id"], jobs.c.state.not_in(FINAL))
+        going_on = rows(tenant, jobs, jobs.c.id).where(jobs.c.id != job["id"], is_unfinished())
         drop_where(
             connection,
             tenant,

@@ -5,6 +5,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Table
 
+from lambent_server import label_rows, provenance
 from lambent_server.checkpoint_rows import drop_checkpoints
 from lambent_server.database.schema import (
     artifacts,
@@ -20,8 +21,11 @@ from lambent_server.database.schema import (
 )
 from lambent_server.database.tenancy import Tenant, change, find, remove, rows
 from lambent_server.garbage import discard
-from lambent_server.job_rows import FINAL
+from lambent_server.idempotency import forget as forget_keys
+from lambent_server.job_rows import FINAL, is_unfinished
 from lambent_server.problems import conflict, not_found
+from lambent_server.run_logs import forget as forget_logs
+from lambent_server.webhook_rows import forget_job
 
 
 def delete_job(connection: Connection, tenant: Tenant, job_id: str) -> None:
@@ -32,8 +36,10 @@ def delete_job(connection: Connection, tenant: Tenant, job_id: str) -> None:
     drop_checkpoints(connection, tenant, job_id)
     for table in (events, artifacts):
         _forget(connection, tenant, table, job_id=job_id)
+    forget_logs(connection, tenant, job_id)
     for table in (job_labels, idempotency_keys):
         connection.execute(remove(tenant, table).filter_by(job_id=job_id))
+    forget_job(connection, tenant, job_id)
     connection.execute(remove(tenant, jobs).filter_by(id=job_id))
     order_id = job["order_id"]
     if order_id and connection.execute(rows(tenant, jobs).filter_by(order_id=order_id)).first() is None:
@@ -43,11 +49,14 @@ def delete_job(connection: Connection, tenant: Tenant, job_id: str) -> None:
 
 def delete_bundle(connection: Connection, tenant: Tenant, bundle_id: str) -> None:
     """Delete a bundle with its files and the links to it; the job that made it stays."""
-    _require(connection, tenant, bundles, "bundle", bundle_id)
+    bundle = _require(connection, tenant, bundles, "bundle", bundle_id)
     _require_unused(connection, tenant, "bundle", bundle_id)
     _forget(connection, tenant, bundle_files, bundle_id=bundle_id)
     connection.execute(remove(tenant, shares).filter_by(bundle_id=bundle_id))
-    connection.execute(change(tenant, jobs).filter_by(bundle_id=bundle_id).values(bundle_id=None))
+    made_by = change(tenant, jobs).filter_by(id=bundle["job_id"], bundle_id=bundle_id)
+    connection.execute(made_by.values(bundle_id=None))
+    label_rows.forget(connection, tenant, bundle_id)
+    provenance.forget(connection, tenant, bundle_id)
     connection.execute(remove(tenant, bundles).filter_by(id=bundle_id))
 
 
@@ -56,6 +65,7 @@ def delete_environment(connection: Connection, tenant: Tenant, environment_id: s
     _require(connection, tenant, environments, "environment", environment_id)
     _require_unused(connection, tenant, "environment", environment_id)
     _forget(connection, tenant, environments, id=environment_id)
+    forget_keys(connection, tenant, environment_id)
 
 
 def _require(connection: Connection, tenant: Tenant, table: Table, kind: str, identifier: str) -> Any:
@@ -82,10 +92,13 @@ def _require_unused(connection: Connection, tenant: Tenant, kind: str, identifie
 
 def _needs(connection: Connection, tenant: Tenant) -> Iterator[tuple[str, set[str]]]:
     """Yield each unfinished job with what its request refers to."""
-    going_on = rows(tenant, jobs, jobs.c.id, jobs.c.params, render_orders.c.spec)
-    joined = going_on.outerjoin_from(jobs, render_orders, render_orders.c.id == jobs.c.order_id)
-    for job_id, params, spec in connection.execute(joined.where(jobs.c.state.not_in(FINAL))):
-        order = spec or {"assets": (), "environments": ()}
+    going_on = rows(tenant, jobs, jobs.c.id, jobs.c.params, jobs.c.order_id).where(is_unfinished())
+    found = connection.execute(going_on).all()
+    ordered = rows(tenant, render_orders, render_orders.c.id, render_orders.c.spec)
+    order_ids = {order_id for _, _, order_id in found if order_id is not None}
+    specs = dict(iter(connection.execute(ordered.where(render_orders.c.id.in_(order_ids)))))
+    for job_id, params, order_id in found:
+        order = specs.get(order_id, {"assets": (), "environments": ()})
         needed = {asset["bundle_id"] for asset in order["assets"]}
         needed |= {light["environment_id"] for light in order["environments"]}
         yield job_id, needed | {params.get("bundle", ""), params.get("environment", "")}

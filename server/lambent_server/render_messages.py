@@ -81,3 +81,4 @@ class BatchArtifactList(Shown):
     """The files of a batch, by name."""
 
     items: list[BatchArtifact]
+    next_cursor: str | None

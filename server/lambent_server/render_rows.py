@@ -13,7 +13,7 @@ from lambent_proto.pictures import (
     RenderSpec,
     safe_name,
 )
-from sqlalchemy import ColumnElement, Connection, and_, exists, func
+from sqlalchemy import ColumnElement, Connection, FromClause, case, false, func, select
 
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import (
@@ -27,7 +27,17 @@ from lambent_server.database.schema import (
 from lambent_server.database.tenancy import Tenant, add, find, rows
 from lambent_server.idempotency import made_before
 from lambent_server.job_queries import check_quota, insert_job
-from lambent_server.job_rows import CANCELLED, CANCELLING, FAILED, FINAL, QUEUED, SUCCEEDED, Job
+from lambent_server.job_rows import (
+    CANCELLED,
+    CANCELLING,
+    FAILED,
+    FINAL,
+    QUEUED,
+    SUCCEEDED,
+    Job,
+    is_unfinished,
+)
+from lambent_server.membership import total_slots
 from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
 from lambent_server.render_messages import Batch, NewBatch, NewRender
 from lambent_server.services import Services
@@ -91,7 +101,7 @@ def submit(connection: Connection, tenant: Tenant, order: Order, services: Servi
     if num_pictures > limit:
         message = f"{num_pictures} pictures are asked for, {limit} are allowed at once"
         raise invalid("too_many_pictures", "#/cameras", message)
-    num_shards = min(order.shards or services.settings.local_slots, num_pictures)
+    num_shards = min(order.shards or _num_places(connection, services), num_pictures)
     num_jobs = num_shards + (num_shards > 1)
     check_quota(connection, tenant, services, num_jobs)
     connection.execute(
@@ -110,6 +120,13 @@ def submit(connection: Connection, tenant: Tenant, order: Order, services: Servi
     for shard in range(num_jobs):
         _queue(connection, tenant, order_id, order.kind, shard, order.priority, order.labels)
     return require_order(connection, tenant, order_id, order.kind)
+
+
+def _num_places(connection: Connection, services: Services) -> int:
+    """Return how many parts of an order can be rendered at the same time."""
+    if services.settings.executor == "ray":
+        return services.capacity.num_places()
+    return total_slots(connection, services.settings.local_slots)
 
 
 def _queue(
@@ -168,16 +185,25 @@ def _num_shards(connection: Connection, tenant: Tenant, order_id: str) -> int:
     return int(row["num_shards"])
 
 
-def waits_for_parts() -> ColumnElement[bool]:
+def waits_for_parts(table: FromClause = jobs) -> ColumnElement[bool]:
     """Return the condition that a job is the summary of an order with an unfinished part."""
     parts = jobs.alias()
-    sums_up = exists().where(
-        render_orders.c.id == jobs.c.order_id, render_orders.c.num_shards == jobs.c.shard
+    # A scalar, not EXISTS: PostgreSQL would read all orders into a hash table.
+    going_on = (
+        select(parts.c.id)
+        .join(render_orders, render_orders.c.id == parts.c.order_id)
+        .where(
+            parts.c.order_id == table.c.order_id,
+            parts.c.shard < table.c.shard,
+            is_unfinished(parts),
+            render_orders.c.num_shards == table.c.shard,
+        )
+        .limit(1)
+        .correlate(table)
+        .scalar_subquery()
     )
-    going_on = exists().where(
-        parts.c.order_id == jobs.c.order_id, parts.c.shard < jobs.c.shard, parts.c.state.not_in(FINAL)
-    )
-    return and_(sums_up, going_on)
+    # As a choice, which PostgreSQL takes to be as often true as false and not to hold for nearly every job.
+    return case((table.c.order_id.is_(None), false()), else_=going_on.is_not(None))
 
 
 def require_order(

@@ -6,6 +6,7 @@ from google.protobuf.json_format import MessageToJson, Parse, ParseError
 from lambent_proto.v1 import bundle_pb2, job_pb2, worker_pb2
 from sqlalchemy import Connection
 
+from lambent_server import label_rows, provenance
 from lambent_server.clock import new_id, now
 from lambent_server.database.schema import (
     artifacts,
@@ -22,12 +23,13 @@ from lambent_server.paths import check_path
 from lambent_server.preparation import drop_superseded, offered_checkpoints, scene_of_checkpoint
 from lambent_server.preview_rows import thin
 from lambent_server.problems import Problem, invalid
+from lambent_server.provenance import Signer
 from lambent_server.rest_json import enum_text, to_rest
 from lambent_server.run_inputs import inputs_of
 from lambent_server.scene_figures import store_figures
 from lambent_server.scene_rows import set_thumbnail
 from lambent_server.settings import Settings
-from lambent_server.store import BlobStore, find_blob
+from lambent_server.store import BlobStore, touch
 
 _WORKER_EVENTS = frozenset({"preview", "log", "finding", "artifact"})
 _YOUNG_S = 600.0
@@ -148,10 +150,10 @@ def store_failure(
 
 
 def _require_blob(connection: Connection, job: Job, sha256: str, path: str) -> int:
-    blob = find_blob(connection, owner(job), sha256)
-    if blob is None:
+    size_bytes = touch(connection, owner(job), sha256)
+    if size_bytes is None:
         raise Problem(422, "blob_missing", f"{path}: blob {sha256} was never uploaded")
-    return blob.size_bytes
+    return size_bytes
 
 
 def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.CheckpointManifest) -> None:
@@ -188,9 +190,16 @@ def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.Checkpo
 
 
 def publish(
-    connection: Connection, job: Job, request: worker_pb2.PublishRequest, store: BlobStore
+    connection: Connection,
+    job: Job,
+    request: worker_pb2.PublishRequest,
+    store: BlobStore,
+    signer: Signer | None = None,
 ) -> str | None:
-    """Insert the rows that make bundle and artifacts visible; return the bundle's id."""
+    """Insert the rows that make bundle and artifacts visible; return the bundle's id.
+
+    With a `signer`, a signed statement of where the bundle is from is stored with it.
+    """
     tenant = owner(job)
     for file in (*request.bundle_files, *request.artifacts):
         check_path(file.path, "#/files")
@@ -202,13 +211,23 @@ def publish(
         append_event(connection, job, NewEvent(type="artifact", name=file.path, sha256=file.sha256))
     if not request.bundle_files:
         return None
-    _check_manifest(request, store)
+    manifest = _check_manifest(request, store)
     bundle_id = new_id("bundle")
-    connection.execute(
-        add(tenant, bundles, id=bundle_id, job_id=job["id"], scene_id=job["scene_id"], created_at=now())
-    )
+    names = {"job_id": job["id"], "scene_id": job["scene_id"], "labels": job["labels"]}
+    connection.execute(add(tenant, bundles, id=bundle_id, created_at=now(), **names))
+    label_rows.store(connection, tenant, bundle_id, job["labels"])
     for file in request.bundle_files:
         connection.execute(add(tenant, bundle_files, bundle_id=bundle_id, **_file_values(file)))
+    if signer is not None:
+        statement = provenance.statement_of(
+            job,
+            bundle_id=bundle_id,
+            files={file.path: file.sha256 for file in request.bundle_files},
+            inputs=[(file.path, file.sha256) for file in inputs_of(connection, job).files],
+            generator=to_rest(manifest.generator),
+            key_id=signer.key_id,
+        )
+        provenance.store(connection, tenant, bundle_id, signer.envelope(statement))
     return bundle_id
 
 
@@ -221,8 +240,8 @@ def _file_values(file: worker_pb2.PublishedFile) -> dict[str, Any]:
     }
 
 
-def _check_manifest(request: worker_pb2.PublishRequest, store: BlobStore) -> None:
-    """Refuse a bundle whose manifest does not match its files exactly."""
+def _check_manifest(request: worker_pb2.PublishRequest, store: BlobStore) -> bundle_pb2.BundleManifest:
+    """Return the manifest of a bundle; refuse one that does not match its files exactly."""
     given = {file.path: file for file in request.bundle_files}
     manifest_file = given.pop("manifest.json", None)
     if manifest_file is None:
@@ -237,3 +256,4 @@ def _check_manifest(request: worker_pb2.PublishRequest, store: BlobStore) -> Non
             path for path, file in given.items() if described[path] != file.sha256
         )
         raise invalid("bundle_manifest", "#/files", f"manifest and files differ in {different[:5]}")
+    return manifest

@@ -12,7 +12,7 @@ from lambent_server.database.tenancy import Tenant, add, remove, rows
 from lambent_server.garbage import discard
 from lambent_server.problems import Problem
 from lambent_server.rest_json import to_rest
-from lambent_server.store import find_blob
+from lambent_server.store import touch
 
 Row = Mapping[str, Any]
 
@@ -45,7 +45,7 @@ def store_figures(
     forget_figures(connection, tenant, scene_id)
     if figures is None:
         return
-    if page_sha256 and find_blob(connection, tenant, page_sha256) is None:
+    if page_sha256 and touch(connection, tenant, page_sha256) is None:
         raise Problem(422, "blob_missing", f"page: blob {page_sha256} was never uploaded")
     shown = to_rest(figures)
     try:

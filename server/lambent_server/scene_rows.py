@@ -7,18 +7,20 @@ from typing import Any
 
 from sqlalchemy import Connection, insert
 
+from lambent_server import idempotency, label_rows
+from lambent_server.change_messages import SceneChange
 from lambent_server.checkpoint_rows import drop_checkpoints_of_scene
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import blobs, jobs, scene_files, scenes
 from lambent_server.database.tenancy import Tenant, add, change, find, remove, rows
 from lambent_server.garbage import discard
-from lambent_server.job_rows import FINAL
-from lambent_server.messages import Scene
-from lambent_server.paths import check_path, folded, is_scene_file
+from lambent_server.job_rows import is_unfinished
+from lambent_server.messages import NewScene, Scene
+from lambent_server.paths import Names, check_path, is_scene_file
 from lambent_server.problems import Detail, Problem, conflict, not_found
 from lambent_server.scene_figures import forget_figures
 from lambent_server.settings import Settings
-from lambent_server.store import blob_url, find_blob, touch
+from lambent_server.store import blob_url, touch
 
 Row = Mapping[str, Any]
 
@@ -61,6 +63,7 @@ def show(row: Row) -> Scene:
         size_bytes=row["size_bytes"],
         content_sha256=row["content_sha256"],
         thumbnail_url=thumbnail_url(row),
+        labels=row["labels"] or {},
     )
 
 
@@ -73,7 +76,7 @@ def set_thumbnail(connection: Connection, tenant: Tenant, scene: Row, sha256: st
     """Replace the photograph of the scene; an empty hash keeps the one it has."""
     if not sha256 or sha256 == scene["thumbnail_sha256"]:
         return
-    if find_blob(connection, tenant, sha256) is None:
+    if touch(connection, tenant, sha256) is None:
         raise Problem(422, "blob_missing", f"thumbnail: blob {sha256} was never uploaded")
     if scene["thumbnail_sha256"]:
         discard(connection, tenant, scene["thumbnail_sha256"])
@@ -81,17 +84,35 @@ def set_thumbnail(connection: Connection, tenant: Tenant, scene: Row, sha256: st
     connection.execute(update.values(thumbnail_sha256=sha256))
 
 
-def create(connection: Connection, tenant: Tenant, name: str) -> Row:
-    """Add an empty scene."""
+def create(
+    connection: Connection, tenant: Tenant, order: NewScene, key: str | None = None, digest: str = ""
+) -> Row:
+    """Add an empty scene, or return the one that was added earlier with this idempotency key."""
     identifier = new_id("scene")
-    connection.execute(add(tenant, scenes, id=identifier, name=name, state="open", created_at=now()))
+    known = idempotency.made_before(connection, tenant, key, digest, identifier)
+    if known is not None:
+        return require_scene(connection, tenant, known)
+    values = {"name": order.name, "labels": order.labels, "state": "open", "created_at": now()}
+    connection.execute(add(tenant, scenes, id=identifier, **values))
+    label_rows.store(connection, tenant, identifier, order.labels)
     return require_scene(connection, tenant, identifier)
+
+
+def change_scene(connection: Connection, tenant: Tenant, scene: Row, order: SceneChange) -> Row:
+    """Change name or labels of a scene; the caller holds its row."""
+    values: dict[str, Any] = {} if order.name is None else {"name": order.name}
+    if order.labels is not None:
+        values["labels"] = label_rows.merged(scene["labels"], order.labels)
+        label_rows.store(connection, tenant, scene["id"], values["labels"])
+    if values:
+        connection.execute(change(tenant, scenes).where(scenes.c.id == scene["id"]).values(**values))
+    return require_scene(connection, tenant, scene["id"])
 
 
 def check_files(files: Sequence[SceneFile], settings: Settings) -> None:
     """Refuse a list of files that cannot be a scene; the problem names each invalid one."""
     details: list[Detail] = []
-    seen: dict[str, str] = {}
+    names = Names()
     paths: dict[str, str] = {}
     for place, file in enumerate(files):
         try:
@@ -99,11 +120,13 @@ def check_files(files: Sequence[SceneFile], settings: Settings) -> None:
         except Problem as problem:
             details.extend(problem.errors)
             continue
-        other = seen.setdefault(folded(file.path), file.path)
-        if other != file.path:
-            details.append(Detail(f"#/{place}/path", f"clashes with {other!r} on some systems"))
-        elif paths.get(file.path, file.sha256) != file.sha256:
-            details.append(Detail(f"#/{place}/path", "is listed twice with different contents"))
+        if file.path in paths:
+            if paths[file.path] != file.sha256:
+                details.append(Detail(f"#/{place}/path", "is listed twice with different contents"))
+            continue
+        clash = names.add(file.path)
+        if clash is not None:
+            details.append(Detail(f"#/{place}/path", f"clashes with {clash!r} on some systems"))
         paths[file.path] = file.sha256
     if details:
         raise Problem(422, "path_unsafe", f"{len(details)} path(s) cannot be used", errors=details[:100])
@@ -164,7 +187,9 @@ def plan(connection: Connection, tenant: Tenant, scene: Row, files: Sequence[Sce
         connection.execute(insert(scene_files), values)
     update = change(tenant, scenes).where(scenes.c.id == scene["id"])
     connection.execute(update.values(report=unsupported_report(unsupported)))
-    sizes = {sha256: touch(connection, tenant, sha256) for sha256 in {file.sha256 for file in kept.values()}}
+    # In one order, so that two plans never wait for each other.
+    hashes = sorted({file.sha256 for file in kept.values()})
+    sizes = {sha256: touch(connection, tenant, sha256) for sha256 in hashes}
     return FilePlan(
         missing=[sha256 for sha256, size in sizes.items() if size is None],
         known={sha256: size for sha256, size in sizes.items() if size is not None},
@@ -235,7 +260,7 @@ def reject(connection: Connection, tenant: Tenant, scene: Row, code: str, messag
 
 def delete(connection: Connection, tenant: Tenant, scene: Row) -> None:
     """Delete the scene and its files; bundles made from it stay."""
-    busy = rows(tenant, jobs, jobs.c.id).where(jobs.c.scene_id == scene["id"], jobs.c.state.not_in(FINAL))
+    busy = rows(tenant, jobs, jobs.c.id).where(jobs.c.scene_id == scene["id"], is_unfinished())
     job_id = connection.execute(busy.limit(1)).scalar_one_or_none()
     if job_id is not None:
         raise conflict("scene_in_use", f"job {job_id} uses this scene; cancel it first")
@@ -244,4 +269,6 @@ def delete(connection: Connection, tenant: Tenant, scene: Row) -> None:
         discard(connection, tenant, scene["thumbnail_sha256"])
     forget_figures(connection, tenant, scene["id"])
     drop_checkpoints_of_scene(connection, tenant, scene["id"])
+    label_rows.forget(connection, tenant, scene["id"])
+    idempotency.forget(connection, tenant, scene["id"])
     connection.execute(remove(tenant, scenes).where(scenes.c.id == scene["id"]))

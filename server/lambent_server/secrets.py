@@ -5,11 +5,29 @@ import hashlib
 import hmac
 import os
 import secrets
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 
 class SecretError(Exception):
     """A secret's file cannot be used; the message says what to do."""
+
+
+class SharedSecret(str):
+    """A secret with those that are accepted besides, from data folders of before."""
+
+    __slots__ = ("others",)
+
+    def __new__(cls, secret: str, others: Iterable[str] = ()) -> "SharedSecret":
+        """Return the secret, which signs, with the others."""
+        made = super().__new__(cls, secret)
+        made.others = tuple(others)
+        return made
+
+
+def accepted(secret: str) -> tuple[str, ...]:
+    """Return all secrets whose signatures are accepted, the one that signs first."""
+    return (secret, *(secret.others if isinstance(secret, SharedSecret) else ()))
 
 
 def sha256_text(text: str) -> str:
@@ -27,8 +45,16 @@ def read_or_create_secret(path: Path, prefix: str = "") -> str:
 
     Raises SecretError for a file without a secret: an empty secret would open the server to everyone.
     """
+    return read_or_create(path, lambda: new_secret(prefix))
+
+
+def read_or_create(path: Path, make: Callable[[], str]) -> str:
+    """Return the text in `path`, which only its owner can read; writes what `make` returns if there is none.
+
+    Raises SecretError for a file without text.
+    """
     if not path.exists():
-        write_secret(path, new_secret(prefix))
+        write_secret(path, make())
     with contextlib.suppress(UnicodeDecodeError):
         if secret := path.read_text(encoding="ascii").strip():
             return secret
@@ -75,4 +101,10 @@ def is_run_token(secret: str, token: str) -> bool:
     """Return whether a token is valid for any run."""
     job_id, _, rest = token.partition(".")
     run = rest.partition(".")[0]
-    return run.isdecimal() and hmac.compare_digest(token, run_token(secret, job_id, int(run)))
+    return run.isdecimal() and is_token_of(secret, token, job_id, int(run))
+
+
+def is_token_of(secret: str, token: str, job_id: str, run: int) -> bool:
+    """Return whether a token is that of one run."""
+    given = token.encode()
+    return any(hmac.compare_digest(given, run_token(each, job_id, run).encode()) for each in accepted(secret))

@@ -1,13 +1,34 @@
 """The objects that routes, worker service and controller share."""
 
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, field
+
+from anyio import CapacityLimiter
 
 from lambent_server.database.engine import Database
 from lambent_server.problems import Problem
+from lambent_server.provenance import Signer, open_signer
+from lambent_server.s3 import S3Options
 from lambent_server.settings import Settings
 from lambent_server.store import BlobStore
 from lambent_server.wakeups import Wakeups
+
+
+@dataclass(slots=True)
+class Capacity:
+    """What there is for runs; the executor, once there is one, replaces what the settings say."""
+
+    max_gpus: Callable[[], int]
+    """How many GPUs a single run can have."""
+    num_places: Callable[[], int]
+    """How many runs without GPUs there is room for, at least 1."""
+
+    @classmethod
+    def of_machine(cls, settings: Settings, counted_gpus: int) -> "Capacity":
+        """Return what this machine has, unless the settings say otherwise."""
+        gpus = counted_gpus if settings.local_gpus is None else settings.local_gpus
+        return cls(lambda: gpus, lambda: max(settings.local_slots, 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,13 +39,21 @@ class Services:
     database: Database
     store: BlobStore
     wakeups: Wakeups
-    local_gpus: int
+    capacity: Capacity
+    decoders: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(4))
+    """Threads that wait for a process that decodes an upload: apart from those that answer requests."""
+    signer: Signer | None = None
+    """Signs where bundles are from; None in commands beside a server."""
     key_uses: dict[str, float] = field(default_factory=dict)
     """Times of the last use of keys that are not yet stored in the database."""
 
+    def free_bytes(self) -> int:
+        """Return the free space of the data folder."""
+        return shutil.disk_usage(self.settings.data).free
+
     def require_disk(self) -> None:
         """Refuse requests that would fill the disk; running jobs are not affected."""
-        free = shutil.disk_usage(self.settings.data).free
+        free = self.free_bytes()
         if free < self.settings.disk_floor_bytes:
             raise Problem(
                 507,
@@ -44,8 +73,36 @@ def open_services(settings: Settings) -> Services:
     # Uploads that were in progress when an earlier server stopped.
     for path in settings.scratch.iterdir():
         shutil.rmtree(path) if path.is_dir() else path.unlink()
-    database = Database(settings.database_url)
+    database = open_database(settings)
     database.migrate()
-    store = BlobStore(settings.data / "store", settings.store)
-    gpus = count_gpus() if settings.local_gpus is None else settings.local_gpus
-    return Services(settings, database, store, Wakeups(), gpus)
+    capacity = Capacity.of_machine(settings, count_gpus())
+    decoders = CapacityLimiter(settings.max_decoders)
+    signer = open_signer(database, settings)
+    return Services(settings, database, _open_store(settings), Wakeups(), capacity, decoders, signer)
+
+
+def join_services(settings: Settings) -> Services:
+    """Return the parts for a command that may run beside a server; nothing is created or migrated."""
+    capacity = Capacity.of_machine(settings, 0)
+    return Services(settings, open_database(settings), _open_store(settings), Wakeups(), capacity)
+
+
+def open_database(settings: Settings) -> Database:
+    """Return the database of the settings, as it is."""
+    return Database(settings.database_url, pooled=settings.database_direct is not None)
+
+
+def _open_store(settings: Settings) -> BlobStore:
+    return BlobStore(settings.data / "store", settings.store, s3_options(settings))
+
+
+def s3_options(settings: Settings) -> S3Options | None:
+    """Return where the bucket of a store in S3 is; None for other stores."""
+    if settings.store is None or not settings.store.startswith("s3://"):
+        return None
+    return S3Options(
+        url=settings.store,
+        endpoint=settings.store_endpoint,
+        public_endpoint=settings.store_public_endpoint,
+        region=settings.store_region,
+    )

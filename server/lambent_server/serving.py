@@ -3,14 +3,14 @@
 import asyncio
 import contextlib
 import fcntl
+import gc
 import json
 import os
 import re
 import resource
 import signal
 import socket
-import stat
-import tempfile
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,31 +22,46 @@ from fastapi import FastAPI
 from granian.constants import HTTPModes, Interfaces
 from granian.http import HTTP1Settings
 from granian.server.embed import Server as Granian
+from granian.utils.proxies import wrap_asgi_with_proxy_headers
+from lambent_sandbox.sandbox import REQUIRED, Layers
 from obstore.exceptions import BaseError
 from sqlalchemy.exc import SQLAlchemyError
 
+from lambent_server import decoding
 from lambent_server.app import LOOPBACK, make_app
+from lambent_server.compression import Compressor
+from lambent_server.connections import Connections
 from lambent_server.controller import Controller
+from lambent_server.database.engine import SchemaTooNewError
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
-from lambent_server.executors.local import LocalExecutor
-from lambent_server.http.middleware import App
+from lambent_server.executors.chosen import ExecutorSetupError, open_executor
+from lambent_server.http.identity import issue_login_code
+from lambent_server.http.login_header import LoginHeader
+from lambent_server.http.request import App
 from lambent_server.keys import FILE, accept_file
+from lambent_server.problems import Problem
 from lambent_server.reconciler import Reconciler
-from lambent_server.secrets import SecretError, read_or_create_secret, sha256_text
+from lambent_server.run_logs import LogCopier
+from lambent_server.s3 import StoreSetupError
+from lambent_server.secrets import SecretError
+from lambent_server.serve_error import ServeError
 from lambent_server.services import Services, open_services
 from lambent_server.settings import Settings
-from lambent_server.worker_service import serve_workers
+from lambent_server.shared_secrets import WORKER, shared_secret
+from lambent_server.webhook_sender import Sender
+from lambent_server.worker_link import open_workers
 
 log = structlog.get_logger()
 
-# Longest path of a Unix socket that every system accepts.
-MAX_SOCKET_PATH = 100
-# Open files of a server besides client connections: database, uploads, run processes.
+# Open files of a server besides those of its clients: database, run processes, logs.
 OTHER_FILES = 512
-
-
-class ServeError(Exception):
-    """The server cannot start; the message says why and what to do."""
+MIN_CONNECTIONS = 16
+# How long a thread waits for the interpreter while the event loop is busy; by default ten times as long.
+SWITCH_S = 0.0005
+# New objects, and collections of younger objects, before a garbage collection.
+COLLECT_AFTER = (5000, 20, 20)
+# Connections that the system accepts before the server does; it may allow fewer (net.core.somaxconn).
+BACKLOG = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +70,8 @@ class Ready:
 
     url: str
     login_url: str
-    key_file: Path
+    key_file: Path | None
+    """None if another server on the database has the key."""
 
 
 def check_address(settings: Settings) -> None:
@@ -93,13 +109,35 @@ def _data_unusable(folder: Path, error: OSError) -> ServeError:
     )
 
 
-def allow_connections(wanted: int) -> int:
-    """Raise the limit of open files for `wanted` connections; return how many are possible."""
+def allow_connections(settings: Settings) -> int:
+    """Raise the limit of open files for the connections of the settings; return how many are possible."""
+    wanted = settings.max_connections
+    # Every upload has a file, and so may every other request.
+    files = wanted + settings.max_bodies + settings.max_requests + OTHER_FILES
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    limit = wanted + OTHER_FILES if hard == resource.RLIM_INFINITY else min(wanted + OTHER_FILES, hard)
+    limit = files if hard == resource.RLIM_INFINITY else min(files, hard)
     if soft != resource.RLIM_INFINITY and soft < limit:
         resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
-    return max(min(wanted, limit - OTHER_FILES), 16)
+    if limit == files:
+        return wanted
+    possible = max(wanted * (limit - OTHER_FILES) // (files - OTHER_FILES), MIN_CONNECTIONS)
+    log.warning("connections_limited", possible=possible, wanted=wanted, open_files=hard, needed=files)
+    return possible
+
+
+def require_sandbox(settings: Settings) -> Layers:
+    """Return the layers around processes that decode uploads; refuse to start if the settings want more."""
+    try:
+        layers = decoding.probe(settings)
+    except Problem as problem:
+        raise ServeError(f"serve.sandbox_unusable: {problem.detail}; see LAMBENT_DECODE_COMMAND") from problem
+    if layers.missing and settings.sandbox == REQUIRED:
+        missing = ", ".join(f"{name} ({reason})" for name, reason in layers.missing.items())
+        raise ServeError(
+            f"serve.sandbox_missing: this system lacks {missing}, and LAMBENT_SANDBOX is required; set it to "
+            "available to decode uploads with what there is"
+        )
+    return layers
 
 
 def free_port(host: str) -> int:
@@ -124,30 +162,6 @@ def require_free(host: str, port: int) -> None:
             ) from error
 
 
-def worker_address(settings: Settings) -> str:
-    """Return the address at which run processes reach the server; the same after every restart."""
-    path = (settings.data / "worker.sock").resolve()
-    if len(os.fsencode(path)) > MAX_SOCKET_PATH:
-        # A port would be open to every user of the machine; this folder is private.
-        name = sha256_text(str(path))[:16]
-        path = _private_folder(f"lambent-{os.getuid()}") / f"{name}.sock"
-    path.unlink(missing_ok=True)
-    return f"unix:{path}"
-
-
-def _private_folder(name: str) -> Path:
-    """Return a temporary folder that no other user can enter."""
-    folder = Path(tempfile.gettempdir()).resolve() / name
-    folder.mkdir(mode=0o700, exist_ok=True)
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise ServeError(
-            f"serve.folder_not_private: {folder} has to be a folder of this user that nobody else can enter, "
-            "for the socket of run processes; remove it, or choose a shorter folder with --data"
-        )
-    return folder
-
-
 def _write_whole(path: Path, data: Any) -> None:
     partial = path.with_suffix(".tmp")
     partial.write_text(json.dumps(data) + "\n", encoding="utf-8")
@@ -161,33 +175,43 @@ async def run(settings: Settings, on_ready: Any) -> None:
     checkpoint if they can write one.
     """
     check_address(settings)
+    sys.setswitchinterval(SWITCH_S)
     with sole_user(settings.data):
         port = settings.port or free_port(settings.host)
         require_free(settings.host, port)
-        services, app, gate, secret = _open(settings)
+        connections = allow_connections(settings)
+        layers = require_sandbox(settings)
+        services, app, gate, secret = _open(settings, connections)
+        app.state.sandbox = layers
+        # Not before: a server that cannot start says that first.
+        tell = log.warning if layers.missing else log.info
+        tell("sandbox", in_force=list(layers.in_force), missing=layers.missing)
         try:
-            await _serve(services, app, gate, secret, port, on_ready)
+            await _serve(services, app, gate, secret, port, connections, on_ready)
         finally:
             services.database.close()
 
 
-def _open(settings: Settings) -> tuple[Services, FastAPI, App, str]:
+def _open(settings: Settings, connections: int) -> tuple[Services, FastAPI, App, str]:
     """Return the parts, the application, the same wrapped in its gate, and the secret of run processes."""
     try:
         services = open_services(settings)
+        secret = shared_secret(services.database, settings, WORKER)
         accept_file(services.database, Tenant(DEFAULT_TENANT_ID), settings.data)
-        return services, *make_app(services), read_or_create_secret(settings.data / "worker.secret")
+        return services, *make_app(services, connections), secret
     except SecretError as error:
         raise ServeError(str(error)) from error
     except OSError as error:
         raise _data_unusable(settings.data, error) from error
-    except (SQLAlchemyError, CommandError) as error:
+    except (SQLAlchemyError, CommandError, SchemaTooNewError) as error:
         # The password must not appear in a message.
         url = re.sub(r"//[^/@]*@", "//...@", settings.database_url)
         raise ServeError(
             f"serve.database_unusable: {url} cannot be used ({str(error).splitlines()[0]}); check that "
             "it exists and is running, and that no newer version of Lambent has used it"
         ) from error
+    except StoreSetupError as error:
+        raise ServeError(f"serve.store_unusable: {error}") from error
     except (ValueError, BaseError) as error:
         raise ServeError(
             f"serve.store_unusable: {settings.store} cannot be used ({str(error).splitlines()[0]}); give a "
@@ -195,45 +219,91 @@ def _open(settings: Settings) -> tuple[Services, FastAPI, App, str]:
         ) from error
 
 
-async def _serve(services: Services, app: FastAPI, gate: App, secret: str, port: int, on_ready: Any) -> None:
-    settings = services.settings
-    loop = asyncio.get_running_loop()
+def _ease_collection() -> None:
+    """Spare the objects of the start, modules above all, from every garbage collection from now on.
+
+    With thousands of streams, a full collection of everything stops the server for half a second.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(*COLLECT_AFTER)
+
+
+def end_signal(loop: asyncio.AbstractEventLoop) -> asyncio.Future[int]:
+    """Return a future of the first SIGTERM or SIGINT from now on."""
     ended: asyncio.Future[int] = loop.create_future()
 
     def end(number: int) -> None:
         if not ended.done():
             ended.set_result(number)
 
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, end, number)
+    def wake(number: int, _frame: Any) -> None:
+        loop.call_soon_threadsafe(end, number)
 
+    # Not loop.add_signal_handler: it loses signals that come while a few hundred connections have news, for
+    # the loop learns of both through one pipe, which is full then.
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, wake)
+    return ended
+
+
+async def _serve(
+    services: Services, app: FastAPI, gate: App, secret: str, port: int, connections: int, on_ready: Any
+) -> None:
+    settings = services.settings
+    loop = asyncio.get_running_loop()
+    ended = end_signal(loop)
     tenant = Tenant(DEFAULT_TENANT_ID)
-    address = worker_address(settings)
-    workers = serve_workers(services, secret, address)
-    controller = Controller(services, LocalExecutor(settings), secret=secret, address=address)
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    url = f"http://{host}:{port}"
+    workers, membership, server_address = open_workers(services, secret)
+    try:
+        executor = await asyncio.to_thread(open_executor, settings, secret)
+    except ExecutorSetupError as error:
+        workers.stop(None)
+        raise ServeError(str(error)) from error
+    services.capacity.max_gpus, services.capacity.num_places = executor.max_gpus, executor.num_places
+    controller = Controller(services, executor, membership, secret=secret, server_address=server_address)
+    membership.start(url)
     controller.start()
     app.state.controller = controller
-    app.state.reconciler = reconciler = Reconciler(services)
+    app.state.reconciler = reconciler = Reconciler(services, lambda: membership.leads)
     reconciler.start()
+    compressor = Compressor(services, lambda: membership.leads)
+    compressor.start()
+    copier = LogCopier(services, membership)
+    copier.start()
+    if settings.trusted_proxies:
+        gate = LoginHeader(wrap_asgi_with_proxy_headers(gate, list(settings.trusted_proxies)), settings)
+    outermost = Connections(gate, port, app.state.budget, settings.trusted_proxies)
+    sender = Sender(services, lambda: membership.leads)
+    sender.start()
     server = Granian(
-        gate,
+        outermost,
         address=settings.host,
         port=port,
         interface=Interfaces.ASGINL,
         http=HTTPModes.http1,
         websockets=False,
         log_enabled=False,
-        backlog=1024,
-        backpressure=allow_connections(settings.max_connections),
+        backlog=BACKLOG,
+        backpressure=connections,
         http1_settings=HTTP1Settings(header_read_timeout=int(settings.header_timeout_s * 1000)),
     )
     serving = loop.create_task(server.serve())
-    host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    url = f"http://{host}:{port}"
+    watching = [loop.create_task(outermost.watch())]
+    if not services.database.is_sqlite:
+        from .database.listening import Listener
+
+        listener = Listener(settings.listening_url, services.database, services.wakeups.signal)
+        watching.append(loop.create_task(listener.run()))
     await _until_listening(settings.host, port, serving)
+    _ease_collection()
     _write_whole(settings.data / "server.json", {"url": url, "pid": os.getpid()})
-    code, _ = app.state.login_codes.issue(tenant)
-    on_ready(Ready(url, f"{url}/#code={code}", settings.data / FILE))
+    with services.database.write() as connection:
+        code, _ = issue_login_code(connection, tenant, settings.login_code_s)
+    key_file = settings.data / FILE
+    on_ready(Ready(url, f"{url}/#code={code}", key_file if key_file.exists() else None))
     log.info("serving", url=url, data=str(settings.data))
 
     await asyncio.wait({ended, serving}, return_when=asyncio.FIRST_COMPLETED)
@@ -241,13 +311,20 @@ async def _serve(services: Services, app: FastAPI, gate: App, secret: str, port:
     log.info("ending", stop_runs=interrupted)
     (settings.data / "server.json").unlink(missing_ok=True)
     services.wakeups.close()
+    for task in watching:
+        task.cancel()
+    await asyncio.to_thread(sender.close)
     # Run processes that are asked to stop still commit their checkpoint, so their service stops after them.
     await asyncio.to_thread(controller.close, stop_runs=interrupted)
+    await asyncio.to_thread(compressor.close)
+    await asyncio.to_thread(copier.close)
     await asyncio.to_thread(reconciler.close)
+    await asyncio.to_thread(membership.close)
     server.stop()
     with contextlib.suppress(TimeoutError):
         await asyncio.wait_for(serving, settings.shutdown_grace_s / 4)
     await asyncio.to_thread(workers.stop(1).wait)
+    await asyncio.to_thread(executor.close)
     log.info("ended")
 
 

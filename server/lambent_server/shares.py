@@ -5,13 +5,15 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sqlalchemy import Connection
+from sqlalchemy import ColumnElement, Connection
 
 from lambent_server.clock import new_id, now
+from lambent_server.database.people_schema import organisations
 from lambent_server.database.schema import shares
-from lambent_server.database.tenancy import Tenant, across_tenants, add, change, find, rows
+from lambent_server.database.tenancy import Tenant, across_tenants, add, change, find
 from lambent_server.origins import joined
 from lambent_server.problems import not_found
+from lambent_server.secrets import accepted
 
 COOKIE = "lambent_share"
 _READS = re.compile(r"/v1/bundles/([^/:]+)(/manifest|/files/.+)")
@@ -49,29 +51,34 @@ def create(
     bundle_id: str,
     lifetime_s: float,
     frame_ancestors: Sequence[str] = (),
+    share_id: str | None = None,
 ) -> Row:
     """Add a link to a bundle of `tenant`; pages of the origins `frame_ancestors` may show it.
 
     Raises ValueError where one of these is no origin.
     """
-    identifier = new_id("share")
+    identifier = share_id or new_id("share")
     values = {"id": identifier, "bundle_id": bundle_id, "created_at": now(), "expires_at": now() + lifetime_s}
     connection.execute(add(tenant, shares, frame_ancestors=joined(frame_ancestors), **values))
     return dict(find(connection, tenant, shares, identifier) or {})
 
 
-def working(connection: Connection, tenant: Tenant, bundle_id: str) -> list[Row]:
-    """Return the links of a bundle that have neither expired nor been revoked, newest first."""
-    statement = rows(tenant, shares).where(
-        shares.c.bundle_id == bundle_id, shares.c.revoked_at.is_(None), shares.c.expires_at > now()
-    )
-    return [dict(row) for row in connection.execute(statement.order_by(shares.c.id.desc())).mappings()]
+def working(bundle_id: str) -> tuple[ColumnElement[bool], ...]:
+    """Return the conditions that a link is of a bundle and has neither expired nor been revoked."""
+    return shares.c.bundle_id == bundle_id, shares.c.revoked_at.is_(None), shares.c.expires_at > now()
+
+
+def require(connection: Connection, tenant: Tenant, share_id: str) -> Row:
+    """Return a link's row, revoked or not."""
+    row = find(connection, tenant, shares, share_id)
+    if row is None:
+        raise not_found("share", share_id)
+    return dict(row)
 
 
 def revoke(connection: Connection, tenant: Tenant, share_id: str) -> None:
     """Revoke a link; repeating it changes nothing."""
-    if find(connection, tenant, shares, share_id) is None:
-        raise not_found("share", share_id)
+    require(connection, tenant, share_id)
     statement = change(tenant, shares).where(shares.c.id == share_id, shares.c.revoked_at.is_(None))
     connection.execute(statement.values(revoked_at=now()))
 
@@ -82,7 +89,10 @@ def signed(connection: Connection, secret: str, token: str) -> Row | None:
     if match is None:
         return None
     row = find_any(connection, match.group(1))
-    return row if row is not None and hmac.compare_digest(sign(secret, row), token) else None
+    if row is None:
+        return None
+    genuine = any(hmac.compare_digest(sign(each, row), token) for each in accepted(secret))
+    return row if genuine else None
 
 
 def granted(connection: Connection, secret: str, token: str) -> Row | None:
@@ -92,15 +102,24 @@ def granted(connection: Connection, secret: str, token: str) -> Row | None:
 
 
 def find_any(connection: Connection, share_id: str) -> Row | None:
-    """Return a share of any tenant, active or not, or None; its id without the secret grants no read."""
-    statement = across_tenants(shares).where(shares.c.id == share_id)
+    """Return a share of any tenant, active or not, with when its organisation was closed, or None.
+
+    Its id without the secret grants no read.
+    """
+    organisation = organisations.c.tenant_id == shares.c.tenant_id
+    statement = (
+        across_tenants(shares, *shares.c, organisations.c.closed_at)
+        .select_from(shares)
+        .join(organisations, organisation)
+        .where(shares.c.id == share_id)
+    )
     row = connection.execute(statement).mappings().one_or_none()
     return None if row is None else dict(row)
 
 
 def is_active(row: Row) -> bool:
-    """Return whether a link has neither expired nor been revoked."""
-    return row["revoked_at"] is None and row["expires_at"] > now()
+    """Return whether a link of `find_any` works: it has not ended, and its organisation is not closed."""
+    return row["revoked_at"] is None and row["expires_at"] > now() and row["closed_at"] is None
 
 
 def is_token(text: str) -> bool:

@@ -3,24 +3,46 @@
 import contextlib
 import hashlib
 import os
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import obstore
 from obstore.exceptions import BaseError, NotFoundError
 from obstore.store import LocalStore, from_url
 from sqlalchemy import Connection
 
+from lambent_server import claims
 from lambent_server.clock import now
 from lambent_server.database import schema
 from lambent_server.database.tenancy import Tenant, add_if_absent, change, rows
 from lambent_server.problems import Problem
+from lambent_server.s3 import S3Bucket, S3Options, StoreUnavailableError
 
 CHUNK_BYTES = 1024 * 1024
+READ_TIMEOUT_S = 120.0
+"""Longest time that a request to a store may take."""
+
+Write = Callable[[], AbstractContextManager[Connection]]
+"""Opens a transaction."""
+
+
+class Admission(Protocol):
+    """Decides whether a tenant may store a blob; raises the problem if not, and then nothing stays."""
+
+    def expected(self, connection: Connection, size_bytes: float) -> None:
+        """Look before bytes that are new to the tenant are written."""
+
+    def added(self, connection: Connection, sha256: str) -> None:
+        """Look in the transaction that has added the blob."""
+
+
+BLOBS = "blobs"
+GZIP = "gzip"
+"""Folders of the store: blobs, and compressed copies of some of them under the blob's name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +52,8 @@ class Blob:
     sha256: str
     size_bytes: int
     media_type: str
+    gzip_bytes: int = 0
+    """Size of its compressed copy; 0 if it has none."""
 
 
 def hash_file(path: Path) -> str:
@@ -41,79 +65,141 @@ def hash_file(path: Path) -> str:
 class BlobStore:
     """Writes and reads blobs; rows, not the store, decide which tenant may read which."""
 
-    def __init__(self, folder: Path, url: str | None = None) -> None:
-        if url is None:
-            (folder / "blobs").mkdir(parents=True, exist_ok=True)
+    def __init__(self, folder: Path, url: str | None = None, s3: S3Options | None = None) -> None:
+        self.bucket = None if s3 is None else S3Bucket(s3)
+        if self.bucket is not None:
+            self.bucket.check()
+            self._store: Any = self.bucket.obstore(timeout_s=READ_TIMEOUT_S, num_retries=3)
+        elif url is not None:
+            self._store = from_url(url)
+        else:
+            for name in (BLOBS, GZIP):
+                (folder / name).mkdir(parents=True, exist_ok=True)
             _sync(folder)
-        self._store: Any = LocalStore(folder) if url is None else from_url(url)
+            self._store = LocalStore(folder)
+        # A transaction waits for deletions, so these must not take long.
+        self._deleter = (
+            self._store if self.bucket is None else self.bucket.obstore(timeout_s=5, num_retries=0)
+        )
         # Folder of a local store; other stores ensure the durability of their bytes themselves.
         self._folder = Path(self._store.prefix or "/") if isinstance(self._store, LocalStore) else None
-        # Held while a blob is added or swept, so that neither sees the other half done.
-        self.lock = threading.Lock()
 
     @staticmethod
-    def _key(sha256: str) -> str:
-        return f"blobs/{sha256[:2]}/{sha256}"
+    def key(sha256: str, folder: str = BLOBS) -> str:
+        """Return the name of a blob in the store, or of its copy."""
+        return f"{folder}/{sha256[:2]}/{sha256}"
 
-    def listed(self, digits: str) -> dict[str, tuple[int, float]]:
+    def address(self, blob: Blob, valid_s: float) -> str | None:
+        """Return an address at which anybody can read the blob for a while; None if the store has none."""
+        if self.bucket is None:
+            return None
+        return self.bucket.sign_get(self.key(blob.sha256), blob.media_type, valid_s)
+
+    def listed(self, digits: str, folder: str = BLOBS) -> dict[str, tuple[int, float]]:
         """Return size and modification time (Unix seconds) of blobs whose hashes begin with `digits`."""
         found: dict[str, tuple[int, float]] = {}
         with _as_os_error():
-            for batch in obstore.list(self._store, f"blobs/{digits}"):
+            for batch in obstore.list(self._store, f"{folder}/{digits}"):
                 for each in batch:
                     name = each["path"].rpartition("/")[2]
                     found[name] = (each["size"], each["last_modified"].timestamp())
         return found
 
     def put_file(
-        self, write: Callable[[], Any], tenant: Tenant, path: Path, sha256: str, media_type: str
+        self,
+        write: Write,
+        tenant: Tenant,
+        path: Path,
+        sha256: str,
+        media_type: str,
+        admission: Admission | None = None,
     ) -> bool:
         """Store the file and make it visible to `tenant`; return whether it is new to the tenant.
 
         `write` opens a database transaction. The bytes are complete and on the disk before the row refers to
         them; existing bytes that differ from the file are rewritten.
         """
-        with self.lock:
-            with write() as connection:
-                known = touch(connection, tenant, sha256) is not None
-            if not self._has(sha256, path.stat().st_size):
+        size_bytes = path.stat().st_size
+
+        def write_bytes() -> None:
+            if not self._has(sha256, size_bytes):
                 self._put(sha256, path)
-            if known:
-                return False
+
+        return self.add(write, tenant, Blob(sha256, size_bytes, media_type), write_bytes, admission)
+
+    def add(
+        self,
+        write: Write,
+        tenant: Tenant,
+        blob: Blob,
+        write_bytes: Callable[[], None],
+        admission: Admission | None = None,
+    ) -> bool:
+        """Make a blob visible to `tenant`; return whether it is new to the tenant.
+
+        `write_bytes` ensures that its bytes are whole in the store; it runs outside of transactions, and
+        again if they were deleted meanwhile. Nothing stays of what `admission` refuses.
+        """
+        while True:
             with write() as connection:
-                add_if_absent(
-                    connection,
-                    tenant,
-                    schema.blobs,
-                    sha256=sha256,
-                    size_bytes=float(path.stat().st_size),
-                    media_type=media_type,
-                    touched_at=now(),
-                )
-            return True
+                token = claims.claim(connection, tenant, blob.sha256)
+                known = touch(connection, tenant, blob.sha256) is not None
+                if admission is not None and not known:
+                    admission.expected(connection, float(blob.size_bytes))
+            write_bytes()
+            try:
+                with write() as connection:
+                    if not claims.still_held(connection, blob.sha256, token):
+                        continue
+                    if known and touch(connection, tenant, blob.sha256) is not None:
+                        return False
+                    values = {"size_bytes": float(blob.size_bytes), "media_type": blob.media_type}
+                    values |= {"sha256": blob.sha256, "touched_at": now()}
+                    added = add_if_absent(connection, tenant, schema.blobs, **values)
+                    if admission is not None and added:
+                        admission.added(connection, blob.sha256)
+                    return added
+            except Problem:
+                self._withdraw(write, blob.sha256)
+                raise
+
+    def _withdraw(self, write: Write, sha256: str) -> None:
+        """Delete bytes that were just written, unless some tenant has the blob."""
+        with write() as connection:
+            claims.lock(connection, sha256)
+            token = claims.announce_deletion(connection, sha256)
+        if token is not None:
+            self.delete(write, sha256, token)
 
     def _has(self, sha256: str, size_bytes: int) -> bool:
         if self.size(sha256) != size_bytes:
             return False
+        if self.bucket is not None:
+            # Unlike a disk, such a store checks what it keeps.
+            return True
         digest = hashlib.sha256()
         for piece in self.read(sha256, size_bytes):
             digest.update(piece)
         return digest.hexdigest() == sha256
 
-    def _put(self, sha256: str, path: Path) -> None:
+    def put_copy(self, sha256: str, path: Path) -> None:
+        """Store a blob's compressed copy, which a row names afterwards."""
+        self._put(sha256, path, GZIP)
+
+    def _put(self, sha256: str, path: Path, folder: str = BLOBS) -> None:
         with _as_os_error():
-            obstore.put(self._store, self._key(sha256), path)
+            obstore.put(self._store, self.key(sha256, folder), path)
         if self._folder is not None:
-            file = self._folder / self._key(sha256)
+            file = self._folder / self.key(sha256, folder)
             # The bytes, their directory entry, and that of a folder that may be new.
             for each in (file, file.parent, file.parent.parent):
                 _sync(each)
 
-    def size(self, sha256: str) -> int | None:
-        """Return the size of the blob in the store, or None if it does not exist."""
+    def size(self, sha256: str, folder: str = BLOBS) -> int | None:
+        """Return the size of the blob in the store, or of its copy, or None if it does not exist."""
         try:
             with _as_os_error():
-                return int(obstore.head(self._store, self._key(sha256))["size"])
+                return int(obstore.head(self._store, self.key(sha256, folder))["size"])
         except FileNotFoundError:
             return None
 
@@ -123,13 +209,21 @@ class BlobStore:
             sizes = pool.map(self.size, expected)
             return [sha256 for sha256, size in zip(expected, sizes, strict=True) if size != expected[sha256]]
 
-    def read(self, sha256: str, size_bytes: int, start: int = 0, end: int | None = None) -> Iterator[bytes]:
-        """Return the bytes from `start` up to (not including) `end`, in pieces.
+    def read(
+        self,
+        sha256: str,
+        size_bytes: int,
+        start: int = 0,
+        end: int | None = None,
+        *,
+        folder: str = BLOBS,
+    ) -> Iterator[bytes]:
+        """Return the bytes from `start` up to (not including) `end`, in pieces; in `GZIP` those of the copy.
 
         Raises `blob_damaged` if the store does not have all `size_bytes` of them, and OSError if it is
         unavailable, both before the response to a client begins.
         """
-        if self.size(sha256) != size_bytes:
+        if self.size(sha256, folder) != size_bytes:
             raise damaged(sha256)
         if end is not None and end <= start:
             return iter(())
@@ -138,7 +232,7 @@ class BlobStore:
             None if whole else {"range": (start, end)} if end is not None else {"range": {"offset": start}}
         )
         with _as_os_error():
-            result = obstore.get(self._store, self._key(sha256), options=options)
+            result = obstore.get(self._store, self.key(sha256, folder), options=options)
         return _pieces(result)
 
     def read_all(self, sha256: str) -> bytes:
@@ -148,10 +242,31 @@ class BlobStore:
             raise damaged(sha256)
         return data
 
-    def delete(self, sha256: str) -> None:
-        """Delete the bytes; the caller holds `lock` and has deleted every row."""
+    def delete(self, write: Write, sha256: str, token: str) -> bool:
+        """Carry out an announced deletion; return False if the bytes are wanted again.
+
+        The lock is held meanwhile, so that nobody writes bytes that this would then delete.
+        """
+        with write() as connection:
+            if not claims.lock_deletion(connection, sha256, token):
+                return False
+            self.delete_bytes(sha256)
+            claims.end_deletion(connection, sha256)
+        return True
+
+    def delete_bytes(self, sha256: str) -> None:
+        """Delete the bytes and their copy, whoever may need them."""
+        # The copy first: without the bytes, nothing would say that it is there.
+        self.delete_copy(sha256)
+        self._delete(sha256, BLOBS)
+
+    def delete_copy(self, sha256: str) -> None:
+        """Delete a blob's compressed copy, if it has one."""
+        self._delete(sha256, GZIP)
+
+    def _delete(self, sha256: str, folder: str) -> None:
         with contextlib.suppress(FileNotFoundError), _as_os_error():
-            obstore.delete(self._store, self._key(sha256))
+            obstore.delete(self._deleter, self.key(sha256, folder))
 
 
 def damaged(sha256: str) -> Problem:
@@ -182,7 +297,8 @@ def _as_os_error() -> Iterator[None]:
     except NotFoundError as error:
         raise FileNotFoundError(str(error)) from error
     except BaseError as error:
-        raise OSError(str(error)) from error
+        # Whatever it is, another attempt may succeed: the rights were checked at the start.
+        raise StoreUnavailableError(str(error).splitlines()[0]) from error
 
 
 def _pieces(result: Any) -> Iterator[bytes]:
@@ -192,7 +308,11 @@ def _pieces(result: Any) -> Iterator[bytes]:
 
 
 def touch(connection: Connection, tenant: Tenant, sha256: str) -> int | None:
-    """Return the size of the tenant's blob, None if there is none; keeps the sweeper off it for a while."""
+    """Return the size of the tenant's blob, None if there is none; keeps the sweeper off it for a while.
+
+    The row stays locked until the end of the transaction, so a reference that is added in it is seen by a
+    sweep.
+    """
     statement = change(tenant, schema.blobs).where(schema.blobs.c.sha256 == sha256).values(touched_at=now())
     size = connection.execute(statement.returning(schema.blobs.c.size_bytes)).scalar_one_or_none()
     return None if size is None else int(size)

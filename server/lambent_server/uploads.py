@@ -13,6 +13,7 @@ from starlette.requests import ClientDisconnect
 
 from lambent_server.metrics import UPLOAD_BYTES
 from lambent_server.problems import Problem
+from lambent_server.s3 import StoreUnavailableError
 from lambent_server.services import Services
 
 
@@ -47,6 +48,8 @@ async def received(services: Services, request: Request, max_bytes: int) -> Asyn
                 ) from error
         UPLOAD_BYTES.inc(size)
         yield Upload(path, digest.hexdigest(), size)
+    except StoreUnavailableError:
+        raise
     except OSError as error:
         raise Problem(507, "disk_full", "the file could not be written", retryable=True) from error
     finally:

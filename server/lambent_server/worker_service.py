@@ -1,9 +1,10 @@
 """The gRPC service for run processes; each request is checked against the job's current run."""
 
-import hmac
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from errno import EADDRINUSE
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -14,21 +15,27 @@ from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
 from sqlalchemy import Connection
 from sqlalchemy.exc import SQLAlchemyError
 
-from lambent_server import run_reports
+from lambent_server import run_reports, worker_uploads
 from lambent_server.clock import now
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
-from lambent_server.executors import run_name
-from lambent_server.job_rows import CANCELLING, HAS_RUN, SUCCEEDED, Job, owner, set_fields
+from lambent_server.executors import is_placed, run_name
+from lambent_server.http.middleware import away
+from lambent_server.job_rows import CANCELLING, ENDED, HAS_RUN, SUCCEEDED, Job, owner, set_fields
 from lambent_server.outcomes import requeue, succeed
 from lambent_server.problems import Problem
-from lambent_server.secrets import is_run_token, run_token
+from lambent_server.secrets import is_token_of
 from lambent_server.services import Services
 from lambent_server.store import CHUNK_BYTES, Blob, find_blob, hash_file
+from lambent_server.worker_certificates import Certificate
+from lambent_server.worker_gate import THREADS, Gatekeeper, Shares
 
 log = structlog.get_logger()
 
 MAX_MESSAGE_BYTES = 8 * 1024 * 1024
+MAX_METADATA_BYTES = 16 * 1024
+MAX_CALLS = 1024
+"""Calls under way, those that wait for a thread among them; others are told to come again."""
 Reply = TypeVar("Reply")
 
 
@@ -46,39 +53,29 @@ def _abort(context: grpc.ServicerContext, error: Exception) -> NoReturn:
     if isinstance(error, Problem):
         context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"{error.code}: {error.detail}")
     # The run keeps retrying: an unavailable database or a full disk is not its fault.
-    log.error("worker_request_failed", exc_info=error)
+    problem = away(error)
+    if problem is None:
+        log.error("worker_request_failed", exc_info=error)
+    else:
+        log.warning("worker_request_put_off", reason=problem.code, error=type(error).__name__)
     context.abort(grpc.StatusCode.UNAVAILABLE, type(error).__name__)
     raise AssertionError
-
-
-class _Gatekeeper(grpc.ServerInterceptor):  # type: ignore[misc]
-    """Rejects unauthenticated calls before a thread waits for their data."""
-
-    def __init__(self, secret: str) -> None:
-        self._secret = secret
-
-    def intercept_service(self, continuation: Any, details: Any) -> Any:
-        """Return the handler of the call."""
-        given = str(dict(details.invocation_metadata).get("authorization", ""))
-        if is_run_token(self._secret, given.removeprefix("Bearer ")):
-            return continuation(details)
-        # A stream handler, because other handlers read a message first.
-        return grpc.stream_unary_rpc_method_handler(
-            lambda _, context: context.abort(grpc.StatusCode.UNAUTHENTICATED, "this is not a token of a run")
-        )
 
 
 class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     """The implementation of the service for run processes."""
 
-    def __init__(self, services: Services, secret: str) -> None:
+    def __init__(
+        self, services: Services, secret: str, servers: Callable[[str], Sequence[str]] = lambda _: ()
+    ) -> None:
+        """Prepare; `servers` returns where the runs of a host reach the servers."""
         self._services = services
         self._secret = secret
+        self._servers = servers
 
     def _authenticate(self, context: grpc.ServicerContext, fence: worker_pb2.Fence) -> None:
-        given = dict(context.invocation_metadata()).get("authorization", "")
-        expected = f"Bearer {run_token(self._secret, fence.job_id, fence.run)}"
-        if not hmac.compare_digest(str(given), expected):
+        given = str(dict(context.invocation_metadata()).get("authorization", ""))
+        if not is_token_of(self._secret, given.removeprefix("Bearer "), fence.job_id, fence.run):
             raise Refused(grpc.StatusCode.UNAUTHENTICATED, "the token does not belong to this run")
 
     @staticmethod
@@ -126,18 +123,22 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             self._services.wakeups.signal()
         return reply
 
+    def _servers_for(self, job: Job) -> Sequence[str]:
+        return self._servers((job["handle"] or {}).get("host", ""))
+
     def Register(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Store the handle of the process, in case the server that started it ended before it could."""
 
         def act(connection: Connection, job: Job) -> Message:
             values: dict[str, Any] = {"heartbeat_at": now()}
             handle = job["handle"] or {}
-            if "pid" not in handle:
+            if not is_placed(handle):
                 run = run_name(job["id"], job["run"])
                 found = {"pid": request.pid, "identity": request.process_identity, "run": run}
                 values["handle"] = {"gpus": [], **handle, **found}
             set_fields(connection, job, **values)
-            return worker_pb2.RegisterResponse(heartbeat_s=self._services.settings.heartbeat_s)
+            heartbeat_s = self._services.settings.heartbeat_s
+            return worker_pb2.RegisterResponse(heartbeat_s=heartbeat_s, servers=self._servers_for(job))
 
         return self._answer(context, request.fence, act, signal=False)
 
@@ -155,7 +156,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
 
         def act(connection: Connection, job: Job) -> Message:
             set_fields(connection, job, heartbeat_at=now())
-            return worker_pb2.HeartbeatResponse(stop=_must_stop(job))
+            return worker_pb2.HeartbeatResponse(stop=_must_stop(job), servers=self._servers_for(job))
 
         return self._answer(context, request.fence, act, signal=False)
 
@@ -164,7 +165,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
 
         def act(connection: Connection, job: Job) -> Message:
             run_reports.store_report(connection, job, request, self._services.settings)
-            return worker_pb2.ReportResponse(stop=_must_stop(job))
+            return worker_pb2.ReportResponse(stop=_must_stop(job), servers=self._servers_for(job))
 
         return self._answer(context, request.fence, act)
 
@@ -213,10 +214,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         """Send a file that the job's tenant may read."""
 
         def act(connection: Connection, job: Job) -> Blob:
-            blob = find_blob(connection, owner(job), request.sha256)
-            if blob is None:
-                raise Refused(grpc.StatusCode.NOT_FOUND, f"there is no blob {request.sha256}")
-            return blob
+            return _require_blob(connection, job, request.sha256)
 
         blob = self._answer(context, request.fence, act, signal=False)
         try:
@@ -226,6 +224,33 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
                     yield worker_pb2.GetBlobResponse(data=chunk[start : start + CHUNK_BYTES])
         except (Problem, OSError) as error:
             _abort(context, error)
+
+    def PlanUpload(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Return where to send a file of the run, unless the server has it."""
+        job = self._answer(context, request.fence, lambda _, job: job, signal=False)
+        try:
+            return worker_uploads.plan(self._services, owner(job), request)
+        except (Problem, SQLAlchemyError, OSError) as error:
+            _abort(context, error)
+
+    def CompleteUpload(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Take over a file that the run has sent to the store."""
+        job = self._answer(context, request.fence, lambda _, job: job, signal=False)
+        try:
+            return worker_uploads.complete(self._services, owner(job), request)
+        except worker_uploads.BrokenUploadError as error:
+            _abort(context, Refused(grpc.StatusCode.DATA_LOSS, str(error)))
+        except (Problem, SQLAlchemyError, OSError) as error:
+            _abort(context, error)
+
+    def LocateBlob(self, request: Any, context: Any) -> Any:  # noqa: N802
+        """Return where to read a file that the job's tenant may read."""
+
+        def act(connection: Connection, job: Job) -> Message:
+            blob = _require_blob(connection, job, request.sha256)
+            return worker_pb2.LocateBlobResponse(url=worker_uploads.locate(self._services, blob))
+
+        return self._answer(context, request.fence, act, signal=False)
 
     def CommitCheckpoint(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Store a checkpoint as the newest one."""
@@ -245,7 +270,9 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             self._require_active(job, request.fence)
             if job["state"] == CANCELLING:
                 raise Refused(grpc.StatusCode.FAILED_PRECONDITION, "the job is being cancelled")
-            bundle_id = run_reports.publish(connection, job, request, self._services.store)
+            bundle_id = run_reports.publish(
+                connection, job, request, self._services.store, self._services.signer
+            )
             succeed(connection, job, bundle_id=bundle_id)
             return worker_pb2.PublishResponse(bundle_id=bundle_id or "")
 
@@ -261,6 +288,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
                     succeed(connection, job)
                 else:
                     requeue(connection, job, "stopped from outside after a checkpoint")
+            _note_end(connection, job)
             return worker_pb2.FinishResponse()
 
         return self._answer(context, request.fence, act, even_if_ended=True)
@@ -271,23 +299,95 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         def act(connection: Connection, job: Job) -> Message:
             if job["state"] in HAS_RUN and job["state"] != CANCELLING and job["stop_reason"] is None:
                 run_reports.store_failure(connection, job, request, self._services.settings)
+            _note_end(connection, job)
             return worker_pb2.FailResponse()
 
         return self._answer(context, request.fence, act, even_if_ended=True)
+
+
+def _require_blob(connection: Connection, job: Job, sha256: str) -> Blob:
+    blob = find_blob(connection, owner(job), sha256)
+    if blob is None:
+        raise Refused(grpc.StatusCode.NOT_FOUND, f"there is no blob {sha256}")
+    return blob
+
+
+def _note_end(connection: Connection, job: Job) -> None:
+    """Note that a cancelled run is about to exit, for servers that cannot see its process."""
+    if job["state"] == CANCELLING:
+        set_fields(connection, job, stop_reason=ENDED)
 
 
 def _must_stop(job: Job) -> bool:
     return job["state"] == CANCELLING or job["stop_reason"] is not None
 
 
-def serve_workers(services: Services, secret: str, address: str) -> grpc.Server:
-    """Start the service for run processes at `address` ("unix:/path")."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Listening:
+    """An address on the network at which run processes of other machines reach the service."""
+
+    address: str
+    """Host and port."""
+    certificate: Certificate | None
+    """None: without TLS."""
+    renewed: Callable[[], Certificate | None] = lambda: None
+    """Returns the certificate to show from now on, if that is another one."""
+
+
+def serve_workers(
+    services: Services,
+    secret: str,
+    address: str,
+    *,
+    network: Listening | None = None,
+    servers: Callable[[str], Sequence[str]] = lambda _: (),
+) -> grpc.Server:
+    """Start the service for run processes at `address` ("unix:/path") and, if asked, on the network.
+
+    `servers` returns where the runs of a host reach the servers. Raises OSError if the address is in use.
+    """
+    settings = services.settings
+    shares = Shares(settings.worker_calls, settings.worker_calls_per_s)
     server = grpc.server(
-        ThreadPoolExecutor(max_workers=16, thread_name_prefix="worker-service"),
-        interceptors=[_Gatekeeper(secret)],
-        options=[("grpc.max_receive_message_length", MAX_MESSAGE_BYTES), ("grpc.so_reuseport", 0)],
+        ThreadPoolExecutor(max_workers=THREADS, thread_name_prefix="worker-service"),
+        interceptors=[Gatekeeper(secret, shares)],
+        maximum_concurrent_rpcs=MAX_CALLS,
+        options=[
+            ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
+            ("grpc.max_metadata_size", MAX_METADATA_BYTES),
+            ("grpc.so_reuseport", 0),
+            # Runs on other machines ask whether the connection still exists.
+            ("grpc.http2.min_ping_interval_without_data_ms", 10_000),
+        ],
     )
-    worker_pb2_grpc.add_WorkerServiceServicer_to_server(WorkerServicer(services, secret), server)
+    worker_pb2_grpc.add_WorkerServiceServicer_to_server(WorkerServicer(services, secret, servers), server)
     server.add_insecure_port(address)
+    if network is not None:
+        try:
+            listen(server, network)
+        except RuntimeError as error:
+            raise OSError(EADDRINUSE, "it cannot be used", network.address) from error
     server.start()
     return server
+
+
+def listen(server: grpc.Server, network: Listening) -> None:
+    """Let a server answer at an address on the network; raises RuntimeError if that is in use."""
+    certificate = network.certificate
+    if certificate is None:
+        server.add_insecure_port(network.address)
+        return
+    # Asked at every new connection; the open ones go on with what they have seen.
+    credentials = grpc.dynamic_ssl_server_credentials(
+        _configuration(certificate), lambda: _renewed_configuration(network)
+    )
+    server.add_secure_port(network.address, credentials)
+
+
+def _configuration(certificate: Certificate) -> Any:
+    return grpc.ssl_server_certificate_configuration([(certificate.key, certificate.chain)])
+
+
+def _renewed_configuration(network: Listening) -> Any:
+    renewed = network.renewed()
+    return None if renewed is None else _configuration(renewed)

@@ -60,10 +60,12 @@ class RegisterRequest(_message.Message):
     def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., pid: _Optional[int] = ..., process_identity: _Optional[str] = ..., host: _Optional[str] = ...) -> None: ...
 
 class RegisterResponse(_message.Message):
-    __slots__ = ("heartbeat_s",)
+    __slots__ = ("heartbeat_s", "servers")
     HEARTBEAT_S_FIELD_NUMBER: _ClassVar[int]
+    SERVERS_FIELD_NUMBER: _ClassVar[int]
     heartbeat_s: float
-    def __init__(self, heartbeat_s: _Optional[float] = ...) -> None: ...
+    servers: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, heartbeat_s: _Optional[float] = ..., servers: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class StartRequest(_message.Message):
     __slots__ = ("fence", "code_version")
@@ -141,10 +143,12 @@ class HeartbeatRequest(_message.Message):
     def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ...) -> None: ...
 
 class HeartbeatResponse(_message.Message):
-    __slots__ = ("stop",)
+    __slots__ = ("stop", "servers")
     STOP_FIELD_NUMBER: _ClassVar[int]
+    SERVERS_FIELD_NUMBER: _ClassVar[int]
     stop: bool
-    def __init__(self, stop: _Optional[bool] = ...) -> None: ...
+    servers: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, stop: _Optional[bool] = ..., servers: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class ReportRequest(_message.Message):
     __slots__ = ("fence", "sequence", "progress", "events")
@@ -159,10 +163,12 @@ class ReportRequest(_message.Message):
     def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., sequence: _Optional[int] = ..., progress: _Optional[_Union[_job_pb2.Progress, _Mapping]] = ..., events: _Optional[_Iterable[_Union[_job_pb2.Event, _Mapping]]] = ...) -> None: ...
 
 class ReportResponse(_message.Message):
-    __slots__ = ("stop",)
+    __slots__ = ("stop", "servers")
     STOP_FIELD_NUMBER: _ClassVar[int]
+    SERVERS_FIELD_NUMBER: _ClassVar[int]
     stop: bool
-    def __init__(self, stop: _Optional[bool] = ...) -> None: ...
+    servers: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, stop: _Optional[bool] = ..., servers: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class ReportSceneRequest(_message.Message):
     __slots__ = ("fence", "report", "figures", "page_sha256", "thumbnail_sha256")
@@ -221,6 +227,77 @@ class GetBlobResponse(_message.Message):
     DATA_FIELD_NUMBER: _ClassVar[int]
     data: bytes
     def __init__(self, data: _Optional[bytes] = ...) -> None: ...
+
+class PlanUploadRequest(_message.Message):
+    __slots__ = ("fence", "sha256", "size_bytes")
+    FENCE_FIELD_NUMBER: _ClassVar[int]
+    SHA256_FIELD_NUMBER: _ClassVar[int]
+    SIZE_BYTES_FIELD_NUMBER: _ClassVar[int]
+    fence: Fence
+    sha256: str
+    size_bytes: float
+    def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., sha256: _Optional[str] = ..., size_bytes: _Optional[float] = ...) -> None: ...
+
+class PlanUploadResponse(_message.Message):
+    __slots__ = ("stored", "parts", "direct")
+    STORED_FIELD_NUMBER: _ClassVar[int]
+    PARTS_FIELD_NUMBER: _ClassVar[int]
+    DIRECT_FIELD_NUMBER: _ClassVar[int]
+    stored: bool
+    parts: _containers.RepeatedCompositeFieldContainer[UploadPart]
+    direct: bool
+    def __init__(self, stored: _Optional[bool] = ..., parts: _Optional[_Iterable[_Union[UploadPart, _Mapping]]] = ..., direct: _Optional[bool] = ...) -> None: ...
+
+class UploadPart(_message.Message):
+    __slots__ = ("offset", "size_bytes", "url", "headers")
+    class HeadersEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
+    OFFSET_FIELD_NUMBER: _ClassVar[int]
+    SIZE_BYTES_FIELD_NUMBER: _ClassVar[int]
+    URL_FIELD_NUMBER: _ClassVar[int]
+    HEADERS_FIELD_NUMBER: _ClassVar[int]
+    offset: float
+    size_bytes: float
+    url: str
+    headers: _containers.ScalarMap[str, str]
+    def __init__(self, offset: _Optional[float] = ..., size_bytes: _Optional[float] = ..., url: _Optional[str] = ..., headers: _Optional[_Mapping[str, str]] = ...) -> None: ...
+
+class CompleteUploadRequest(_message.Message):
+    __slots__ = ("fence", "sha256", "size_bytes", "media_type")
+    FENCE_FIELD_NUMBER: _ClassVar[int]
+    SHA256_FIELD_NUMBER: _ClassVar[int]
+    SIZE_BYTES_FIELD_NUMBER: _ClassVar[int]
+    MEDIA_TYPE_FIELD_NUMBER: _ClassVar[int]
+    fence: Fence
+    sha256: str
+    size_bytes: float
+    media_type: str
+    def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., sha256: _Optional[str] = ..., size_bytes: _Optional[float] = ..., media_type: _Optional[str] = ...) -> None: ...
+
+class CompleteUploadResponse(_message.Message):
+    __slots__ = ("missing",)
+    MISSING_FIELD_NUMBER: _ClassVar[int]
+    missing: bool
+    def __init__(self, missing: _Optional[bool] = ...) -> None: ...
+
+class LocateBlobRequest(_message.Message):
+    __slots__ = ("fence", "sha256")
+    FENCE_FIELD_NUMBER: _ClassVar[int]
+    SHA256_FIELD_NUMBER: _ClassVar[int]
+    fence: Fence
+    sha256: str
+    def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., sha256: _Optional[str] = ...) -> None: ...
+
+class LocateBlobResponse(_message.Message):
+    __slots__ = ("url",)
+    URL_FIELD_NUMBER: _ClassVar[int]
+    url: str
+    def __init__(self, url: _Optional[str] = ...) -> None: ...
 
 class CommitCheckpointRequest(_message.Message):
     __slots__ = ("fence", "manifest")

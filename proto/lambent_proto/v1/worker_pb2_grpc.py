@@ -71,6 +71,21 @@ class WorkerServiceStub:
                 request_serializer=lambent__proto_dot_v1_dot_worker__pb2.GetBlobRequest.SerializeToString,
                 response_deserializer=lambent__proto_dot_v1_dot_worker__pb2.GetBlobResponse.FromString,
                 _registered_method=True)
+        self.PlanUpload = channel.unary_unary(
+                '/lambent_proto.v1.WorkerService/PlanUpload',
+                request_serializer=lambent__proto_dot_v1_dot_worker__pb2.PlanUploadRequest.SerializeToString,
+                response_deserializer=lambent__proto_dot_v1_dot_worker__pb2.PlanUploadResponse.FromString,
+                _registered_method=True)
+        self.CompleteUpload = channel.unary_unary(
+                '/lambent_proto.v1.WorkerService/CompleteUpload',
+                request_serializer=lambent__proto_dot_v1_dot_worker__pb2.CompleteUploadRequest.SerializeToString,
+                response_deserializer=lambent__proto_dot_v1_dot_worker__pb2.CompleteUploadResponse.FromString,
+                _registered_method=True)
+        self.LocateBlob = channel.unary_unary(
+                '/lambent_proto.v1.WorkerService/LocateBlob',
+                request_serializer=lambent__proto_dot_v1_dot_worker__pb2.LocateBlobRequest.SerializeToString,
+                response_deserializer=lambent__proto_dot_v1_dot_worker__pb2.LocateBlobResponse.FromString,
+                _registered_method=True)
         self.CommitCheckpoint = channel.unary_unary(
                 '/lambent_proto.v1.WorkerService/CommitCheckpoint',
                 request_serializer=lambent__proto_dot_v1_dot_worker__pb2.CommitCheckpointRequest.SerializeToString,
@@ -144,6 +159,27 @@ class WorkerServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def PlanUpload(self, request, context):
+        """Where to send a blob directly, if the server's store can take it.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def CompleteUpload(self, request, context):
+        """Takes over a blob that was sent there.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def LocateBlob(self, request, context):
+        """Where to read a blob directly.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def CommitCheckpoint(self, request, context):
         """Makes an uploaded checkpoint the one that the next run resumes from.
         """
@@ -208,6 +244,21 @@ def add_WorkerServiceServicer_to_server(servicer, server):
                     servicer.GetBlob,
                     request_deserializer=lambent__proto_dot_v1_dot_worker__pb2.GetBlobRequest.FromString,
                     response_serializer=lambent__proto_dot_v1_dot_worker__pb2.GetBlobResponse.SerializeToString,
+            ),
+            'PlanUpload': grpc.unary_unary_rpc_method_handler(
+                    servicer.PlanUpload,
+                    request_deserializer=lambent__proto_dot_v1_dot_worker__pb2.PlanUploadRequest.FromString,
+                    response_serializer=lambent__proto_dot_v1_dot_worker__pb2.PlanUploadResponse.SerializeToString,
+            ),
+            'CompleteUpload': grpc.unary_unary_rpc_method_handler(
+                    servicer.CompleteUpload,
+                    request_deserializer=lambent__proto_dot_v1_dot_worker__pb2.CompleteUploadRequest.FromString,
+                    response_serializer=lambent__proto_dot_v1_dot_worker__pb2.CompleteUploadResponse.SerializeToString,
+            ),
+            'LocateBlob': grpc.unary_unary_rpc_method_handler(
+                    servicer.LocateBlob,
+                    request_deserializer=lambent__proto_dot_v1_dot_worker__pb2.LocateBlobRequest.FromString,
+                    response_serializer=lambent__proto_dot_v1_dot_worker__pb2.LocateBlobResponse.SerializeToString,
             ),
             'CommitCheckpoint': grpc.unary_unary_rpc_method_handler(
                     servicer.CommitCheckpoint,
@@ -421,6 +472,87 @@ class WorkerService:
             '/lambent_proto.v1.WorkerService/GetBlob',
             lambent__proto_dot_v1_dot_worker__pb2.GetBlobRequest.SerializeToString,
             lambent__proto_dot_v1_dot_worker__pb2.GetBlobResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def PlanUpload(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/lambent_proto.v1.WorkerService/PlanUpload',
+            lambent__proto_dot_v1_dot_worker__pb2.PlanUploadRequest.SerializeToString,
+            lambent__proto_dot_v1_dot_worker__pb2.PlanUploadResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def CompleteUpload(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/lambent_proto.v1.WorkerService/CompleteUpload',
+            lambent__proto_dot_v1_dot_worker__pb2.CompleteUploadRequest.SerializeToString,
+            lambent__proto_dot_v1_dot_worker__pb2.CompleteUploadResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def LocateBlob(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/lambent_proto.v1.WorkerService/LocateBlob',
+            lambent__proto_dot_v1_dot_worker__pb2.LocateBlobRequest.SerializeToString,
+            lambent__proto_dot_v1_dot_worker__pb2.LocateBlobResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -7,27 +7,49 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from sqlalchemy import Connection, Engine, create_engine, event, text
+import structlog
+from sqlalchemy import Connection, Engine, create_engine, event, inspect, text
 from sqlalchemy.engine import make_url
 
+log = structlog.get_logger()
+
 BUSY_MS = 30_000
+ANALYZED_ROWS = 1000
+_MIGRATION_LOCK = 0x1A4BE49
+
+
+class SchemaTooNewError(Exception):
+    """The tables were changed by a newer version that does not serve this one any more."""
 
 
 class Database:
-    """The engine and the two ways to use it: `read` and `write`."""
+    """The engine and the ways to use it: `read`, `snapshot` and `write`."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, *, pooled: bool = False) -> None:
+        """Prepare; with `pooled`, each transaction may get another connection (pgbouncer)."""
         self.url = make_url(url)
         self.is_sqlite = self.url.get_backend_name() == "sqlite"
         if self.is_sqlite:
             self.engine = _sqlite(url)
         else:
-            self.engine = create_engine(url, pool_size=20, max_overflow=20, pool_pre_ping=True)
+            # A statement that was prepared on one connection is unknown on the next.
+            arguments = {"prepare_threshold": None} if pooled else {}
+            self.engine = create_engine(
+                url, pool_size=20, max_overflow=20, pool_pre_ping=True, connect_args=arguments
+            )
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
         """Open a transaction that changes nothing."""
         with self.engine.connect() as connection:
+            yield connection
+
+    @contextmanager
+    def snapshot(self) -> Iterator[Connection]:
+        """Open a transaction that changes nothing, and whose statements all see the same state."""
+        # A transaction of SQLite always does.
+        options = {} if self.is_sqlite else {"isolation_level": "REPEATABLE READ"}
+        with self.engine.connect().execution_options(**options) as connection:
             yield connection
 
     @contextmanager
@@ -58,20 +80,73 @@ class Database:
         return "ok"
 
     def migrate(self) -> None:
-        """Migrate the tables to the version of this code."""
+        """Migrate the tables to the version of this code, while no other server does.
+
+        Tables of a newer version are left as they are if they say that they serve this one too; else raises
+        SchemaTooNewError.
+        """
         # Alembic is needed only briefly at startup, and is slow to import.
         from alembic import command
         from alembic.config import Config
+        from alembic.script import ScriptDirectory
 
         config = Config()
         config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
-        with self.engine.connect() as connection, connection.begin():
+        head = str(ScriptDirectory.from_config(config).get_current_head())
+        with self._migrating(), self.engine.connect() as connection:
+            if _is_served_by_newer(connection, head):
+                return
+            # That question has begun a transaction, and each migration has one of its own.
+            connection.rollback()
             config.attributes["connection"] = connection
             command.upgrade(config, "head")
+
+    @contextmanager
+    def _migrating(self) -> Iterator[None]:
+        """Keep other servers from migrating; the lock is one of a transaction, which poolers leave alone."""
+        if self.is_sqlite:
+            yield
+            return
+        with self.engine.connect() as connection, connection.begin():
+            connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _MIGRATION_LOCK})
+            yield
+
+    def analyze(self) -> None:
+        """Tell SQLite what its indexes hold, from samples; PostgreSQL finds out by itself.
+
+        Otherwise it takes every condition to be as good as any other: one that all rows fulfil, their tenant,
+        as good as the job.
+        """
+        if self.is_sqlite:
+            with self.write() as connection:
+                connection.exec_driver_sql(f"PRAGMA analysis_limit = {ANALYZED_ROWS}")
+                connection.exec_driver_sql("ANALYZE")
 
     def close(self) -> None:
         """Close every connection."""
         self.engine.dispose()
+
+
+def _is_served_by_newer(connection: Connection, head: str) -> bool:
+    """Return whether the tables are of a newer version that serves `head`, the version of this code."""
+    names = inspect(connection).get_table_names()
+    if "alembic_version" not in names:
+        return False
+    current = connection.execute(text("SELECT version_num FROM alembic_version")).scalar_one_or_none() or ""
+    # The names of revisions are numbers of four digits.
+    if current <= head:
+        return False
+    compatible_from = None
+    if "schema_info" in names:
+        statement = text("SELECT value FROM schema_info WHERE name = 'compatible_from'")
+        compatible_from = connection.execute(statement).scalar_one_or_none()
+    if compatible_from is None or head < compatible_from:
+        raise SchemaTooNewError(
+            f"its tables have revision {current}, and this version of Lambent knows {head}; those before "
+            f"{compatible_from or current} cannot use them"
+        )
+    log.warning("schema_newer", found=current, known=head, compatible_from=compatible_from)
+    return True
 
 
 def _sqlite(url: str) -> Engine:

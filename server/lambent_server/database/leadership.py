@@ -1,67 +1,120 @@
-"""The election of the one server, of several on a database, that controls the jobs."""
+"""The election of the one server, of several on a database, that does what only one must do.
+
+The leader has a row with an end in time, which it moves on as long as it lives; whoever finds that it has
+passed takes the row, and counts the term. Unlike a lock of a session this ends in time also when a machine
+vanishes without closing its connections, and it works through a pooler. SQLite: the lock on the data folder
+decides, and this server always leads.
+"""
 
 import contextlib
+import time
 
 import structlog
-from sqlalchemy import Connection, text
+from sqlalchemy import Connection, case, text, update
 from sqlalchemy.exc import SQLAlchemyError
 
+from lambent_server.database.cluster_schema import leadership
+from lambent_server.database.columns import clock_time
 from lambent_server.database.engine import Database
 
 log = structlog.get_logger()
 
-_LOCK = 0x1A4BE47
+# The lock of a session by which servers of the release before chose their leader.
+_OLD_LOCK = 0x1A4BE47
 
 
 class Leadership:
-    """A lock that ends with the connection that holds it.
+    """The lease of one server. `beat` is called by one thread; the others ask `is_held`."""
 
-    PostgreSQL: an advisory lock; it may be lost at any time together with the connection, so it is checked
-    before every round. SQLite: the lock on the data folder already decides.
+    def __init__(self, database: Database, holder: str, lease_s: float) -> None:
+        self._database = database
+        self._holder = holder
+        self._lease_s = lease_s
+        self._until = 0.0
+        self._held = database.is_sqlite
+        self.term = 0
+        """Which leader this server is or was, counted from 1."""
+
+    @property
+    def is_held(self) -> bool:
+        """Whether this server leads now; another one cannot lead before this has become false."""
+        return self._database.is_sqlite or time.monotonic() < self._until
+
+    def beat(self) -> bool:
+        """Prolong the lease, or take it if nobody has it; return whether this server leads."""
+        if self._database.is_sqlite:
+            return True
+        # From before the database counts, so that this ends first.
+        began = time.monotonic()
+        mine = leadership.c.holder == self._holder
+        with self._database.write() as connection:
+            current = clock_time(connection)
+            statement = (
+                update(leadership)
+                .where(leadership.c.name == "leader", mine | (leadership.c.expires_at < current))
+                .values(
+                    holder=self._holder,
+                    term=case((mine, leadership.c.term), else_=leadership.c.term + 1),
+                    expires_at=current + self._lease_s,
+                )
+                .returning(leadership.c.term)
+            )
+            term = connection.execute(statement).scalar_one_or_none()
+        held = term is not None
+        if held != self._held:
+            log.info("leadership", held=held, term=term or self.term)
+        self._held = held
+        self.term = term or self.term
+        self._until = began + self._lease_s if held else 0.0
+        return held
+
+    def release(self) -> None:
+        """End the lease now, so that another server takes over at once."""
+        if self._database.is_sqlite or not self._held:
+            return
+        log.info("leadership", held=False, term=self.term)
+        self._until, self._held = 0.0, False
+        statement = update(leadership).where(leadership.c.holder == self._holder).values(expires_at=0.0)
+        with contextlib.suppress(SQLAlchemyError), self._database.write() as connection:
+            connection.execute(statement)
+
+
+class OlderServers:
+    """Keeps this server from controlling jobs while one of the release before does, and the other way round.
+
+    Such a server takes runs that it cannot see for lost. It controls jobs while it has a lock for itself,
+    which this release shares among all its servers.
     """
 
     def __init__(self, database: Database) -> None:
         self._database = database
         self._connection: Connection | None = None
-        self._held = database.is_sqlite
 
-    def held(self) -> bool:
-        """Return whether this process controls the jobs now, taking the lock if it is free."""
+    def are_gone(self) -> bool:
+        """Return whether no server of the release before controls jobs, nor can begin to."""
         if self._database.is_sqlite:
             return True
-        before = self._held
-        self._held = self._still_held() or self._take()
-        if self._held != before:
-            log.info("leadership", held=self._held)
-        return self._held
-
-    def _still_held(self) -> bool:
-        if not self._held or self._connection is None:
-            return False
         try:
-            self._connection.execute(text("SELECT 1"))
-        except SQLAlchemyError:
-            self.close()
-            return False
-        return True
-
-    def _take(self) -> bool:
-        if self._connection is None:
-            connection = self._database.engine.connect()
-            self._connection = connection.execution_options(isolation_level="AUTOCOMMIT")
-        try:
-            statement = text("SELECT pg_try_advisory_lock(:key)")
-            return bool(self._connection.execute(statement, {"key": _LOCK}).scalar())
+            if self._connection is not None:
+                self._connection.execute(text("SELECT 1"))
+                return True
+            connection = self._database.engine.connect().execution_options(isolation_level="AUTOCOMMIT")
+            self._connection = connection
+            taken = connection.execute(text("SELECT pg_try_advisory_lock_shared(:key)"), {"key": _OLD_LOCK})
+            if not taken.scalar():
+                self.close()
+                log.warning("older_server_leads", fix="stop the servers of the release before, one by one")
+                return False
         except SQLAlchemyError:
             self.close()
             raise
+        return True
 
     def close(self) -> None:
-        """Release the lock."""
+        """Let servers of the release before control jobs again."""
         if self._connection is not None:
             with contextlib.suppress(SQLAlchemyError):
                 # Not back to the pool: the next user would hold the lock without knowing.
                 self._connection.invalidate()
                 self._connection.close()
             self._connection = None
-        self._held = self._database.is_sqlite

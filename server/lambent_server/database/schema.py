@@ -2,48 +2,40 @@
 
 from sqlalchemy import (
     JSON,
+    BigInteger,
     Column,
     Double,
     Index,
     Integer,
-    MetaData,
     PrimaryKeyConstraint,
     Table,
     Text,
     UniqueConstraint,
+    text,
 )
 
-metadata = MetaData(
-    naming_convention={
-        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
-        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
-        "pk": "pk_%(table_name)s",
-    }
+# Their tables belong to the same registry.
+from lambent_server.database import cluster_schema, people_schema, service_schema  # noqa: F401
+from lambent_server.database.columns import (
+    count_column,
+    id_column,
+    metadata,
+    optional_text_column,
+    optional_time_column,
+    text_column,
+    time_column,
 )
 
-
-def _text(name: str) -> Column[str]:
-    return Column(name, Text, nullable=False)
-
-
-def _time(name: str) -> Column[float]:
-    return Column(name, Double, nullable=False)
+_count, _id, _text, _time = count_column, id_column, text_column, time_column
+_optional_text, _optional_time = optional_text_column, optional_time_column
 
 
-def _count(name: str) -> Column[int]:
-    return Column(name, Integer, nullable=False, default=0)
+def _partial(name: str, *columns: str, where: str) -> Index:
+    """Return an index of the rows that fulfil a condition: it does not grow with history.
 
-
-def _id() -> Column[str]:
-    return Column("id", Text, primary_key=True)
-
-
-def _optional_text(name: str) -> Column[str | None]:
-    return Column(name, Text)
-
-
-def _optional_time(name: str) -> Column[float | None]:
-    return Column(name, Double)
+    A database uses it only for queries that repeat the condition literally (`job_rows` has them).
+    """
+    return Index(name, *columns, sqlite_where=text(where), postgresql_where=text(where))
 
 
 api_keys = Table(
@@ -57,6 +49,10 @@ api_keys = Table(
     _optional_time("expires_at"),
     _optional_time("revoked_at"),
     _optional_time("last_used_at"),
+    # Separated by spaces; null: all of them, as keys from before there were any
+    _optional_text("scopes"),
+    # Whose key it is; null: nobody's in particular
+    _optional_text("user_id"),
     UniqueConstraint("key_sha256"),
 )
 
@@ -67,6 +63,12 @@ sessions = Table(
     _text("tenant_id"),
     _time("created_at"),
     _time("expires_at"),
+    # Null: a one-time link was opened
+    _optional_text("user_id"),
+    # Who made that link; neither: the server itself
+    _optional_text("maker_user_id"),
+    _optional_text("maker_key_id"),
+    Index(None, "expires_at"),
 )
 
 scenes = Table(
@@ -87,7 +89,10 @@ scenes = Table(
     Column("report", JSON),
     # One of its photographs, small
     _optional_text("thumbnail_sha256"),
+    Column("labels", JSON(none_as_null=True)),
     Index(None, "thumbnail_sha256"),
+    Index(None, "tenant_id", "id"),
+    _partial("ix_scenes_open", "created_at", where="state = 'open'"),
 )
 
 scene_files = Table(
@@ -159,14 +164,46 @@ jobs = Table(
     Column("shard", Integer),
     # The newest preview; its event holds the blob.
     _optional_text("preview_sha256"),
+    # Where its end is told.
+    _optional_text("webhook"),
+    # What counts against the GPU minutes of its tenant until it has ended, at least.
+    _optional_time("gpu_s_reserved"),
     Index(None, "tenant_id", "id"),
-    # Of pages of jobs in one state among thousands of others.
+    # Of pages of few jobs among many others (`job_pages`).
     Index(None, "tenant_id", "state", "id"),
-    Index(None, "state"),
+    Index(None, "tenant_id", "kind", "id"),
+    Index(None, "tenant_id", "kind", "state", "id"),
+    Index(None, "scene_id", "id"),
+    Index(None, "tenant_id", "preset", "id"),
     Index(None, "order_id"),
-    Index(None, "scene_id"),
     # The most frequent query of event streams.
     Index(None, "updated_at"),
+    # What the controller looks at in every round.
+    _partial("ix_jobs_observed", "id", where="state IN ('running', 'cancelling') OR handle IS NOT NULL"),
+    # Groups of jobs that may start, each with its oldest job first (`queue_order`).
+    _partial(
+        "ix_jobs_queue",
+        "gpus",
+        "priority",
+        "tenant_id",
+        "id",
+        where="state = 'queued' AND handle IS NULL",
+    ),
+    _partial("ix_jobs_due", "retry_at", where="state = 'retry_wait'"),
+    _partial("ix_jobs_queued_since", "created_at", where="state = 'queued'"),
+)
+
+# How many jobs of a tenant are in a state: the sum of `num_jobs`. Triggers on `jobs` add a row for every
+# change, so that no transaction waits for another; `job_counts.fold` replaces the rows by their sums. A
+# migration that recreates `jobs` has to recreate its triggers.
+job_counts = Table(
+    "job_counts",
+    metadata,
+    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    _text("tenant_id"),
+    _text("state"),
+    _count("num_jobs"),
+    Index(None, "tenant_id", "state"),
 )
 
 render_orders = Table(
@@ -183,6 +220,7 @@ render_orders = Table(
     _count("num_shards"),
     _time("created_at"),
     Index(None, "tenant_id", "id"),
+    Index(None, "tenant_id", "kind", "id"),
 )
 
 job_labels = Table(
@@ -193,7 +231,7 @@ job_labels = Table(
     _text("tenant_id"),
     _text("value"),
     PrimaryKeyConstraint("job_id", "name"),
-    Index(None, "tenant_id", "name", "value"),
+    Index(None, "tenant_id", "name", "value", "job_id"),
 )
 
 events = Table(
@@ -263,7 +301,9 @@ bundles = Table(
     _text("job_id"),
     _text("scene_id"),
     _time("created_at"),
+    Column("labels", JSON(none_as_null=True)),
     UniqueConstraint("job_id"),
+    Index(None, "tenant_id", "id"),
 )
 
 bundle_files = Table(
@@ -275,8 +315,11 @@ bundle_files = Table(
     _text("sha256"),
     Column("size_bytes", Double, nullable=False),
     _text("media_type"),
+    # Size of the compressed copy; 0 if it would save too little, null until that is known.
+    Column("gzip_bytes", Double),
     PrimaryKeyConstraint("bundle_id", "path"),
     Index(None, "sha256"),
+    Index(None, "gzip_bytes"),
 )
 
 # Links that give everyone who has one read access to a bundle.
@@ -292,6 +335,7 @@ shares = Table(
     # Origins whose pages may show the bundle, separated by spaces; none if it is null.
     _optional_text("frame_ancestors"),
     Index(None, "bundle_id"),
+    Index(None, "expires_at"),
 )
 
 environments = Table(
@@ -307,6 +351,7 @@ environments = Table(
     Column("size_bytes", Double, nullable=False),
     _time("created_at"),
     Index(None, "sha256"),
+    Index(None, "tenant_id", "id"),
 )
 
 # A tenant can read a blob if it has a row here; the bytes themselves are shared.
@@ -331,6 +376,7 @@ garbage = Table(
     _text("tenant_id"),
     _time("at"),
     PrimaryKeyConstraint("tenant_id", "sha256"),
+    Index(None, "at"),
 )
 
 idempotency_keys = Table(
@@ -342,4 +388,6 @@ idempotency_keys = Table(
     _text("job_id"),
     _time("created_at"),
     PrimaryKeyConstraint("tenant_id", "key"),
+    Index(None, "tenant_id", "job_id"),
+    Index(None, "created_at"),
 )

@@ -26,6 +26,7 @@ def answer(database: Database, bundle_id: str, origin: str) -> dict[str, str]:
             return {"vary": "origin"}
     return {
         **allowing(origin),
+        "vary": "origin",
         "access-control-allow-methods": "GET, HEAD",
         "access-control-allow-headers": "authorization, range, if-none-match, if-range",
         "access-control-max-age": str(_PREFLIGHT_S),
@@ -33,9 +34,8 @@ def answer(database: Database, bundle_id: str, origin: str) -> dict[str, str]:
 
 
 def allowing(origin: str) -> dict[str, str]:
-    """Return the headers that let scripts of `origin` read a response."""
+    """Return the headers that let scripts of `origin` read a response, which varies with the origin."""
     return {
         "access-control-allow-origin": origin,
         "access-control-expose-headers": "content-length, content-range, etag",
-        "vary": "origin",
     }

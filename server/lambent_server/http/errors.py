@@ -8,7 +8,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 
-from lambent_server.http.middleware import unexpected
+from lambent_server.http.middleware import INTERNAL, away
 from lambent_server.problems import MEDIA_TYPE, Detail, Problem
 
 log = structlog.get_logger()
@@ -25,6 +25,7 @@ MAX_ERRORS = 100
 def respond(request: Request, problem: Problem) -> Response:
     """Return the response for a problem."""
     document = problem.document(request.state.request_id)
+    request.state.refused = problem.code
     return JSONResponse(document, problem.status, headers=problem.headers, media_type=MEDIA_TYPE)
 
 
@@ -63,4 +64,4 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(Exception)
     async def anything(request: Request, error: Exception) -> Response:
-        return respond(request, unexpected(error))
+        return respond(request, away(error) or INTERNAL)

@@ -5,28 +5,54 @@ from importlib.metadata import version
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import JSONResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
+from sqlalchemy import Connection
 
 from lambent_server import job_queries
-from lambent_server.clock import now
-from lambent_server.messages import Health, Limits, PresetList, Version
+from lambent_server.about_messages import Health, Limits, Notice, Notices, Quota, Version
+from lambent_server.accounts import quotas, usage
+from lambent_server.clock import rfc3339
+from lambent_server.database.tenancy import Tenant
+from lambent_server.health import NOTICES
+from lambent_server.messages import PresetList
 from lambent_server.metrics import registry
 from lambent_server.paths import SCENE_SUFFIXES
 from lambent_server.routes.common import ServicesOf, TenantOf, problems
+from lambent_server.routes.resources import ResourceRoute
+from lambent_server.routes.sign_in import sign_in_url
+from lambent_server.server_state import DRAIN, MAINTENANCE, read
 from lambent_server.services import Services
 
-router = APIRouter(tags=["about"])
+router = APIRouter(tags=["about"], route_class=ResourceRoute)
 
 
 @router.get("/v1/limits", responses=problems())
 def get_limits(services: ServicesOf, tenant: TenantOf) -> Limits:
-    """Return the limits of what the server accepts."""
+    """Return the limits of what the server accepts, and what this organisation uses of its quotas."""
     settings = services.settings
-    names = set(Limits.model_fields) - {"max_gpus", "scene_suffixes"}
+    computed = {"max_gpus", "max_queued_jobs", "scene_suffixes", "quotas"}
+    with services.database.read() as connection:
+        found = _quotas(services, connection, tenant)
+        max_gpus = job_queries.max_gpus(connection, services)
     return Limits(
-        **{name: getattr(settings, name) for name in names},
-        max_gpus=job_queries.max_gpus(services),
+        **{name: getattr(settings, name) for name in set(Limits.model_fields) - computed},
+        max_gpus=max_gpus,
+        max_queued_jobs=next(int(each.limit or 0) for each in found if each.name == quotas.JOBS),
         scene_suffixes=sorted(SCENE_SUFFIXES),
+        quotas=found,
     )
+
+
+def _quotas(services: Services, connection: Connection, tenant: Tenant) -> list[Quota]:
+    limits = quotas.quotas_of(connection, tenant, services.settings)
+    stored = usage.amount(connection, tenant, usage.BYTES)
+    unfinished = job_queries.num_unfinished(connection, tenant)
+    promised = job_queries.promised_gpu_minutes(connection, tenant)
+    minutes = quotas.month_used(connection, tenant) + promised
+    return [
+        Quota(name="max_bytes", limit=limits.bytes, used=stored),
+        Quota(name="max_queued_jobs", limit=float(limits.jobs), used=float(unfinished)),
+        Quota(name="max_gpu_minutes", limit=limits.gpu_minutes, used=round(minutes, 1)),
+    ]
 
 
 @router.get("/v1/presets", responses=problems())
@@ -37,9 +63,20 @@ def list_presets(tenant: TenantOf) -> PresetList:
 
 
 @router.get("/v1/version")
-def get_version() -> Version:
+def get_version(services: ServicesOf) -> Version:
     """Return the version of this server."""
-    return Version(name="lambent", version=version("lambent"), api="v1")
+    return Version(
+        name="lambent", version=version("lambent"), api="v1", sign_in_url=sign_in_url(services.settings)
+    )
+
+
+@router.get("/v1/notices", responses=problems())
+def get_notices(services: ServicesOf, tenant: TenantOf) -> Notices:
+    """Return what operators have told all servers: whether runs start, and whether changes are accepted."""
+    with services.database.read() as connection:
+        found = read(connection)
+    shown = {name: Notice(since=rfc3339(each.since), message=each.message) for name, each in found.items()}
+    return Notices(drain=shown.get(DRAIN), maintenance=shown.get(MAINTENANCE))
 
 
 @router.get("/healthz")
@@ -52,12 +89,14 @@ async def get_health() -> Health:
 async def get_readiness(request: Request) -> JSONResponse:
     """Report within two seconds whether all parts work; 503 if one does not.
 
-    `files` counts files whose bytes are gone; it does not affect the status.
+    `files` counts files whose bytes are gone, `sandbox` is `partial` if this system lacks some of what
+    surrounds processes that decode uploads; neither affects the status.
     """
     services: Services = request.app.state.services
     checks = {"controller": "ok", **await request.app.state.health.checks()}
+    told = checks.pop(NOTICES).split()
     controller = getattr(request.app.state, "controller", None)
-    if controller is not None and now() - controller.turned_at > 30 + 10 * services.settings.tick_s:
+    if controller is not None and controller.is_stuck:
         checks["controller"] = "stuck"
     if services.wakeups.closing:
         checks["controller"] = "ending"
@@ -65,6 +104,12 @@ async def get_readiness(request: Request) -> JSONResponse:
     reconciler = getattr(request.app.state, "reconciler", None)
     missing = 0 if reconciler is None else reconciler.num_missing
     checks["files"] = f"{missing} missing" if missing else "ok"
+    layers = getattr(request.app.state, "sandbox", None)
+    if layers is not None:
+        checks["sandbox"] = "partial" if layers.missing else "ok"
+    # Somebody wants it so, and reads are answered: neither affects the status.
+    otherwise = "off" if checks["database"] == "ok" else "unknown"
+    checks |= {name: "on" if name in told else otherwise for name in (DRAIN, MAINTENANCE)}
     health = Health(status="ok" if well else "unavailable", checks=checks)
     return JSONResponse(health.model_dump(), 200 if well else 503)
 

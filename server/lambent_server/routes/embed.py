@@ -10,8 +10,8 @@ from starlette.exceptions import HTTPException
 from lambent_server import shares
 from lambent_server.bundle_rows import LARGE_FIRST, pictures, require_bundle, show
 from lambent_server.database.tenancy import Tenant
+from lambent_server.routes.blob_responses import Asked, send_blob
 from lambent_server.routes.common import Id, ServicesOf
-from lambent_server.routes.files import send_blob
 from lambent_server.store import Blob
 
 router = APIRouter(include_in_schema=False)
@@ -50,7 +50,7 @@ def get_embed_picture(services: ServicesOf, share_id: Id) -> Response:
         blob = _picture(connection, row) if row is not None and shares.is_active(row) else None
     if blob is None:
         raise HTTPException(404)
-    response = send_blob(services, blob, None, None, None)
+    response = send_blob(services, blob, Asked())
     # A link may be revoked, and its picture may be shown by pages that isolate themselves.
     response.headers["cache-control"] = f"public, max-age={_PICTURE_SECONDS}"
     response.headers["cross-origin-resource-policy"] = "cross-origin"

@@ -4,18 +4,27 @@ from typing import Annotated, Any
 
 from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
+from sqlalchemy import Connection
 
 from lambent_server import removals
+from lambent_server.accounts import audit
+from lambent_server.accounts.admission import Admission
+from lambent_server.accounts.who import Who
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import environments
-from lambent_server.database.tenancy import Tenant, add, find, rows
-from lambent_server.environment_files import read_head
+from lambent_server.database.tenancy import Tenant, add, find
+from lambent_server.decoding import environment_head
+from lambent_server.environment_files import MEDIA_TYPES
+from lambent_server.idempotency import made_before
 from lambent_server.messages import Environment, EnvironmentList
-from lambent_server.routes.common import Id, ServicesOf, TenantOf, binary_body, problems
+from lambent_server.pagination import LongPageFilter, select_newest
+from lambent_server.problems import not_found
+from lambent_server.routes.common import Id, ServicesOf, TenantOf, WhoOf, binary_body, problems
+from lambent_server.routes.resources import IdempotencyKey, ResourceRoute, digest_of
 from lambent_server.services import Services
 from lambent_server.uploads import Upload, received
 
-router = APIRouter(tags=["environments"])
+router = APIRouter(tags=["environments"], route_class=ResourceRoute)
 
 
 def _show(row: Any) -> Environment:
@@ -31,24 +40,31 @@ def _show(row: Any) -> Environment:
     "/v1/environments",
     status_code=201,
     openapi_extra=binary_body("image/x-exr", "image/vnd.radiance", "application/octet-stream"),
-    responses=problems(400, 408, 413, 422, 507),
+    responses=problems(400, 408, 413, 422, 503, 507),
 )
 async def create_environment(
     services: ServicesOf,
     tenant: TenantOf,
+    who: WhoOf,
     request: Request,
     name: Annotated[str, Query(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")],
+    key: IdempotencyKey = None,
 ) -> Environment:
     """Upload a latitude-longitude picture; only its header is checked before a job reads its pixels."""
     async with received(services, request, services.settings.max_environment_bytes) as upload:
-        return await to_thread.run_sync(_take, services, tenant, name, upload)
+        return await to_thread.run_sync(_take, services, who, name, upload, key, limiter=services.decoders)
 
 
-def _take(services: Services, tenant: Tenant, name: str, upload: Upload) -> Environment:
-    head = read_head(upload.path, services.settings.max_environment_pixels)
-    services.store.put_file(services.database.write, tenant, upload.path, upload.sha256, head.media_type)
-    identifier = new_id("env")
+def _take(services: Services, who: Who, name: str, upload: Upload, key: str | None) -> Environment:
+    head, tenant = environment_head(upload.path, services.settings), who.tenant
+    admission = Admission(who=who, settings=services.settings, action="create_environment")
+    sent = (upload.path, upload.sha256, MEDIA_TYPES[head.format], admission)
+    services.store.put_file(services.database.write, tenant, *sent)
+    identifier, digest = new_id("env"), digest_of("environment", name, upload.sha256)
     with services.database.write() as connection:
+        known = made_before(connection, tenant, key, digest, identifier)
+        if known is not None:
+            return _show(_require(connection, tenant, known))
         connection.execute(
             add(
                 tenant,
@@ -63,15 +79,34 @@ def _take(services: Services, tenant: Tenant, name: str, upload: Upload) -> Envi
                 created_at=now(),
             )
         )
+        audit.record(connection, who, "create_environment", identifier)
         return _show(find(connection, tenant, environments, identifier))
 
 
-@router.get("/v1/environments", responses=problems())
-def list_environments(services: ServicesOf, tenant: TenantOf) -> EnvironmentList:
+def _require(connection: Connection, tenant: Tenant, environment_id: str) -> Any:
+    row = find(connection, tenant, environments, environment_id)
+    if row is None:
+        raise not_found("environment", environment_id)
+    return row
+
+
+@router.get("/v1/environments", responses=problems(422))
+def list_environments(
+    services: ServicesOf, tenant: TenantOf, given: Annotated[LongPageFilter, Query()]
+) -> EnvironmentList:
     """List the environments, newest first."""
     with services.database.read() as connection:
-        statement = rows(tenant, environments).order_by(environments.c.id.desc()).limit(1000)
-        return EnvironmentList(items=[_show(row) for row in connection.execute(statement).mappings()])
+        found, cursor = select_newest(
+            connection, tenant, environments, limit=given.limit, cursor=given.cursor
+        )
+    return EnvironmentList(items=[_show(row) for row in found], next_cursor=cursor)
+
+
+@router.get("/v1/environments/{environment_id:id}", responses=problems(404))
+def get_environment(services: ServicesOf, tenant: TenantOf, environment_id: Id) -> Environment:
+    """Return an environment."""
+    with services.database.read() as connection:
+        return _show(_require(connection, tenant, environment_id))
 
 
 @router.delete(
@@ -80,8 +115,9 @@ def list_environments(services: ServicesOf, tenant: TenantOf) -> EnvironmentList
     response_class=Response,
     responses=problems(403, 404, 409),
 )
-def delete_environment(services: ServicesOf, tenant: TenantOf, environment_id: Id) -> Response:
+def delete_environment(services: ServicesOf, tenant: TenantOf, who: WhoOf, environment_id: Id) -> Response:
     """Delete an environment; pictures that were rendered with it stay."""
     with services.database.write() as connection:
         removals.delete_environment(connection, tenant, environment_id)
+        audit.record(connection, who, "delete_environment", environment_id)
     return Response(status_code=204)

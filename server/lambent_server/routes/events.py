@@ -1,40 +1,42 @@
 """One stream of events for any number of jobs (server-sent events)."""
 
-import asyncio
-import json
+import random
 import re
-from collections import Counter
-from collections.abc import AsyncIterator
-from typing import Annotated, Any
+from collections.abc import AsyncIterator, Sequence
+from contextlib import ExitStack
+from typing import Annotated
 
-from anyio import CapacityLimiter, to_thread
+import structlog
+from anyio import to_thread
 from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy import Connection, func, tuple_
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.types import Receive, Scope, Send
 
 from lambent_server import job_queries
+from lambent_server.accounts.scopes import READ
 from lambent_server.clock import now
-from lambent_server.database.schema import jobs
-from lambent_server.database.tenancy import Tenant, across_tenants, rows
+from lambent_server.database.schema import events, jobs
+from lambent_server.database.tenancy import Tenant, rows
+from lambent_server.feed import BATCH, WINDOW_S, Change, Feed, Shown, Subscription, encode
+from lambent_server.http.rechecks import Identify
 from lambent_server.job_rows import read_events
-from lambent_server.messages import Job
 from lambent_server.metrics import OPEN_STREAMS
-from lambent_server.problems import Problem, invalid
+from lambent_server.problems import invalid, not_found
 from lambent_server.routes.common import ServicesOf, TenantOf, problems
+from lambent_server.routes.resources import ResourceRoute
 from lambent_server.services import Services
 
-router = APIRouter(tags=["events"])
+log = structlog.get_logger()
 
-BATCH = 500
+router = APIRouter(tags=["events"], route_class=ResourceRoute)
+
 MAX_JOBS = 1024
-# Threads that read for streams; the other threads serve requests.
-READERS = 4
-# If there are two servers, their clocks may differ slightly.
-CLOCKS_S = 10.0
-# Changes kept for all streams; a stream that was delayed for longer queries the database itself.
-WINDOW_S = 60.0
-# Jobs with which a stream that names none begins.
-RECENT = 100
+# Jobs whose last event a stream of all jobs remembers, and those that its ids name, in every message.
+REMEMBERED = 200
+NAMED = 50
 _POSITIONS = re.compile(r"[a-z0-9_]{1,64}:\d{1,9}(,[a-z0-9_]{1,64}:\d{1,9})*")
 
 JobId = Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
@@ -52,7 +54,7 @@ class StreamFilter(BaseModel):
     "/v1/events",
     response_class=StreamingResponse,
     responses={
-        **problems(404, 422, 429),
+        **problems(404, 422, 429, 503),
         200: {
             "description": "`snapshot` events carry a job, `event` events an event of its history.",
             "content": {"text/event-stream": {"schema": {"type": "string"}}},
@@ -72,14 +74,12 @@ async def stream_events(
     ] = None,
 ) -> StreamingResponse:
     """Follow jobs: a snapshot of each, then every event, without gaps across reconnections."""
-    known = _positions(last_event_id)
-    feed: Feed = request.app.state.feed
-    feed.require_room(tenant)
-    stream = _Stream(services, feed, tenant, frozenset(given.job), known)
+    identify: Identify = request.state.identify
+    stream = _Stream(
+        services, request.app.state.feed, tenant, frozenset(given.job), _positions(last_event_id), identify
+    )
     # Before the response begins, so that an unknown job is a 404 and not a broken stream.
-    first = await to_thread.run_sync(stream.begin, limiter=feed.limiter)
-    headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
-    return StreamingResponse(stream.run(first), media_type="text/event-stream", headers=headers)
+    return _Events(stream, await stream.begin())
 
 
 def _positions(header: str | None) -> dict[str, int]:
@@ -91,145 +91,216 @@ def _positions(header: str | None) -> dict[str, int]:
     return {job_id: int(seq) for job_id, seq in pairs}
 
 
-class Feed:
-    """Recent changes, read once for all streams, so that an idle stream does not query the database."""
-
-    def __init__(self, services: Services) -> None:
-        self._services = services
-        self._lock = asyncio.Lock()
-        self._last: dict[str, dict[str, int]] = {}
-        self.limiter = CapacityLimiter(READERS)
-        self.looked_at = 0.0
-        self.num_open: Counter[str] = Counter()
-
-    def require_room(self, tenant: Tenant) -> None:
-        """Refuse a stream beyond the quota."""
-        limit = self._services.settings.max_streams
-        if self.num_open[tenant.id] >= limit:
-            raise Problem(
-                429,
-                "quota_streams",
-                f"{limit} event streams are open, which is the limit; one stream can follow many jobs",
-                retryable=True,
-                headers={"retry-after": "5"},
-                members={"quota": {"name": "max_streams", "limit": limit, "used": limit}},
-            )
-
-    async def changes(self, tenant: Tenant, not_before: float) -> dict[str, int]:
-        """Return the last event of each recently changed job, as of `not_before` or later."""
-        async with self._lock:
-            if self.looked_at < not_before:
-                await to_thread.run_sync(self._look, limiter=self.limiter)
-        return self._last.get(tenant.id, {})
-
-    def _look(self) -> None:
-        at = now()
-        last: dict[str, dict[str, int]] = {}
-        with self._services.database.read() as connection:
-            statement = across_tenants(jobs, jobs.c.tenant_id, jobs.c.id, jobs.c.event_seq)
-            for tenant_id, job_id, seq in connection.execute(
-                statement.where(jobs.c.updated_at > at - WINDOW_S)
-            ):
-                last.setdefault(tenant_id, {})[job_id] = seq
-        self._last, self.looked_at = last, at
-
-
 class _Stream:
     """One client's stream, with what it has been sent so far."""
 
     def __init__(
-        self, services: Services, feed: Feed, tenant: Tenant, names: frozenset[str], known: dict[str, int]
+        self,
+        services: Services,
+        feed: Feed,
+        tenant: Tenant,
+        names: frozenset[str],
+        known: dict[str, int],
+        identify: Identify,
     ) -> None:
         self._services = services
+        self._identify = identify
         self._feed = feed
         self._tenant = tenant
         self._names = names
-        self._known = known
+        # Those that changed last are at the end.
+        self._known = known if names else dict(list(known.items())[-REMEMBERED:])
         self._told: dict[str, int] = {}
-        self._looked_at = now()
+        self._positions: dict[str, str] = {}
+        self._complete_at = now()
+        self._subscription = Subscription(names, self._told)
+        self._open = ExitStack()
 
-    def begin(self) -> list[str]:
-        """Return snapshots of the jobs whose history the client does not have."""
+    def close(self) -> None:
+        """Leave the feed."""
+        self._open.close()
+
+    async def begin(self) -> list[str]:
+        """Return snapshots of the jobs whose history the client does not have, and the news of the others."""
+        with ExitStack() as stack:
+            stack.enter_context(self._feed.subscribed(self._tenant, self._subscription))
+            await self._feed.begin()
+            self._complete_at = now()
+            first: list[str] = []
+            if self._names or self._known:
+                first = await to_thread.run_sync(self._read_first, limiter=self._feed.limiter)
+            if not self._names:
+                recent = await self._feed.recent(self._tenant)
+                first += self._snapshots([each for each in recent if each.job_id not in self._told])
+            self._open = stack.pop_all()
+        return first
+
+    def _read_first(self) -> list[str]:
+        """Return snapshots of the named jobs, and the events of those that the client knows."""
         with self._services.database.read() as connection:
-            if self._names:
-                found = [
-                    job_queries.require_job(connection, self._tenant, name) for name in sorted(self._names)
+            unknown = self._names - set(self._known)
+            statement = rows(self._tenant, jobs).where(jobs.c.id.in_(sorted(unknown)))
+            found = list(connection.execute(statement).mappings()) if unknown else []
+            known = self._names & set(self._known) if self._names else frozenset(self._known)
+            statement = rows(self._tenant, jobs, jobs.c.id, jobs.c.event_seq)
+            seqs = dict(connection.execute(statement.where(jobs.c.id.in_(sorted(known)))).all())  # type: ignore[arg-type]
+            if missing := self._names - {job["id"] for job in found} - set(seqs):
+                raise not_found("job", min(missing))
+            # First, so that every message says where the client is in all of them.
+            for job_id, seq in seqs.items():
+                self._tell(job_id, min(self._known[job_id], seq))
+            messages = self._snapshots(
+                [
+                    Shown(job.id, job.last_event, encode(job))
+                    for job in job_queries.show_all(connection, self._tenant, found)
                 ]
-            else:
-                found, _ = job_queries.select_page(connection, self._tenant, limit=RECENT, cursor=None)
-            unknown = [job for job in found if job["id"] not in self._known]
-            shown = {job.id: job for job in job_queries.show_all(connection, self._tenant, unknown)}
-        messages = []
-        for job in found:
-            if job["id"] in self._known:
-                self._told[job["id"]] = min(self._known[job["id"]], job["event_seq"])
-            else:
-                messages.append(self._snapshot(shown[job["id"]]))
+            )
+            for job_id, seq in seqs.items():
+                messages += self._read_job(connection, job_id, seq)
+            if not self._names:
+                self._complete_at = self._time_of_last(connection)
+        # A stream of all jobs may have missed others than those that its ids name.
+        return messages if self._names else messages + self._read()
+
+    def _time_of_last(self, connection: Connection) -> float:
+        """Return the time of the last event that the client has; now if it has none that exist."""
+        pairs = tuple_(events.c.job_id, events.c.seq).in_(list(self._known.items()))
+        at: float | None = connection.execute(
+            rows(self._tenant, events, func.max(events.c.at)).where(pairs)
+        ).scalar()
+        return now() if at is None else at
+
+    def _snapshots(self, shown: Sequence[Shown]) -> list[str]:
+        """Return snapshot messages; only the last one says where the client is, which is long."""
+        for each in shown[:-1]:
+            self._tell(each.job_id, each.seq)
+        messages = [f"event: snapshot\ndata: {each.data}\n\n" for each in shown[:-1]]
+        return messages + [self._message("snapshot", each.job_id, each.seq, each.data) for each in shown[-1:]]
+
+    def _tell(self, job_id: str, seq: int) -> None:
+        """Note that the client has the events of a job up to `seq`."""
+        # The jobs that changed last come last, and are the last to be forgotten.
+        self._told.pop(job_id, None)
+        self._positions.pop(job_id, None)
+        self._told[job_id] = seq
+        self._positions[job_id] = f"{job_id}:{seq}"
+        if not self._names and len(self._told) > REMEMBERED:
+            del self._told[next(iter(self._told))]
+        if not self._names and len(self._positions) > NAMED:
+            del self._positions[next(iter(self._positions))]
+
+    def _message(self, event: str, job_id: str, seq: int, data: str) -> str:
+        self._tell(job_id, seq)
+        return f"event: {event}\nid: {','.join(self._positions.values())}\ndata: {data}\n\n"
+
+    async def _news(self) -> list[str]:
+        """Return the messages for everything that was offered since the last ones."""
+        offered_at = self._feed.offered_at
+        changes = self._subscription.take()
+        messages: list[str] = []
+        if changes is None or not all(self._add(change, messages) for change in changes):
+            return messages + await to_thread.run_sync(self._read, limiter=self._feed.limiter)
+        self._complete_at = max(self._complete_at, offered_at)
         return messages
 
-    def _snapshot(self, job: Job) -> str:
-        self._told[job.id] = job.last_event
-        return self._message("snapshot", job.model_dump())
-
-    def _message(self, event: str, data: dict[str, Any]) -> str:
-        identifier = ",".join(f"{job_id}:{seq}" for job_id, seq in self._told.items())
-        return f"event: {event}\nid: {identifier}\ndata: {json.dumps(data)}\n\n"
-
-    async def _news(self, *, signalled: bool) -> list[str]:
-        """Return the messages for everything that happened since the last ones."""
-        age_s = 0.0 if signalled else self._services.settings.stream_poll_s / 2
-        changes = await self._feed.changes(self._tenant, now() - age_s)
-        looked_at = self._feed.looked_at
-        known = all(
-            self._told.get(job_id, -1) >= seq
-            for job_id, seq in changes.items()
-            if not self._names or job_id in self._names
-        )
-        if known and self._looked_at - CLOCKS_S >= looked_at - WINDOW_S:
-            self._looked_at = looked_at
-            return []
-        return await to_thread.run_sync(self._read, limiter=self._feed.limiter)
+    def _add(self, change: Change, messages: list[str]) -> bool:
+        """Add the messages of a change; return False if there are events before it that the client lacks."""
+        told = self._told.get(change.job_id)
+        if told is None:
+            if change.snapshot is None:
+                return False
+            messages += self._snapshots([change.snapshot])
+            return True
+        if told < change.start:
+            return False
+        messages += [
+            self._message("event", change.job_id, seq, data) for seq, data in change.events if seq > told
+        ]
+        return True
 
     def _read(self) -> list[str]:
+        """Return the messages for everything that the client does not have, from the database."""
         messages: list[str] = []
         with self._services.database.read() as connection:
             statement = rows(self._tenant, jobs, jobs.c.id, jobs.c.event_seq)
             if self._names:
                 statement = statement.where(jobs.c.id.in_(self._names))
             else:
-                statement = statement.where(jobs.c.updated_at > self._looked_at - CLOCKS_S)
+                statement = statement.where(jobs.c.updated_at > self._complete_at - WINDOW_S)
             looked_at = now()
             for job_id, seq in connection.execute(statement.order_by(jobs.c.id)).all():
                 if job_id not in self._told:
-                    job = job_queries.require_job(connection, self._tenant, job_id)
-                    messages.append(self._snapshot(job_queries.show(connection, self._tenant, job)))
-                while self._told[job_id] < seq:
-                    found = read_events(connection, self._tenant, job_id, self._told[job_id], BATCH)
-                    if not found:
-                        break
-                    for row in found:
-                        self._told[job_id] = row["seq"]
-                        messages.append(self._message("event", job_queries.show_event(row).model_dump()))
-            self._looked_at = looked_at
+                    row = job_queries.require_job(connection, self._tenant, job_id)
+                    job = job_queries.show(connection, self._tenant, row)
+                    messages += self._snapshots([Shown(job_id, job.last_event, encode(job))])
+                messages += self._read_job(connection, job_id, seq)
+            self._complete_at = looked_at
         return messages
 
+    def _read_job(self, connection: Connection, job_id: str, seq: int) -> list[str]:
+        """Return the messages for the events of one job up to `seq`."""
+        messages: list[str] = []
+        while self._told[job_id] < seq:
+            found = read_events(connection, self._tenant, job_id, self._told[job_id], BATCH)
+            if not found:
+                break
+            messages += [
+                self._message("event", job_id, row["seq"], encode(job_queries.show_event(row)))
+                for row in found
+            ]
+        return messages
+
+    def _may_go_on(self) -> bool:
+        """Return whether the key or session of the client is still valid, and may read this organisation."""
+        try:
+            who = self._identify()
+        except SQLAlchemyError as error:
+            # Without the database there is no news that it could keep from anybody.
+            log.warning("stream_not_checked", error=type(error).__name__)
+            return True
+        return who is not None and who.tenant == self._tenant and READ in who.scopes
+
     async def run(self, first: list[str]) -> AsyncIterator[str]:
-        """Yield messages until the client disconnects or the server stops."""
-        settings, wakeups = self._services.settings, self._services.wakeups
-        sent_at, signalled, num_open = now(), True, self._feed.num_open
-        num_open[self._tenant.id] += 1
+        """Yield messages until the client disconnects, loses its access or the server stops."""
+        wakeups, ping_s = self._services.wakeups, self._services.settings.stream_ping_s
+        # So that streams that began together do not send their pings together.
+        next_ping = now() + random.uniform(0.5, 1.0) * ping_s  # noqa: S311
+        # As seldom as pings, also where there is always news.
+        next_check = next_ping
         OPEN_STREAMS.inc()
         try:
             yield ": hello\n\n" + "".join(first)
+            # Tens of kilobytes that would stay as long as the stream.
+            first.clear()
             while not wakeups.closing:
-                messages = await self._news(signalled=signalled)
+                await self._subscription.wait(max(min(next_ping, next_check) - now(), 0.0))
+                if now() >= next_check:
+                    if not await to_thread.run_sync(self._may_go_on, limiter=self._feed.limiter):
+                        break
+                    next_check = now() + ping_s
+                messages = await self._news()
                 if messages:
                     yield "".join(messages)
-                    sent_at = now()
-                elif now() - sent_at >= settings.stream_ping_s:
+                elif now() >= next_ping:
                     yield ": ping\n\n"
-                    sent_at = now()
-                signalled = await wakeups.wait(min(settings.stream_poll_s, settings.stream_ping_s))
+                else:
+                    continue
+                next_ping = now() + ping_s
         finally:
-            num_open[self._tenant.id] -= 1
             OPEN_STREAMS.dec()
+
+
+class _Events(StreamingResponse):
+    """The response of a stream, which ends with it, however it ends."""
+
+    def __init__(self, stream: _Stream, first: list[str]) -> None:
+        headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
+        super().__init__(stream.run(first), media_type="text/event-stream", headers=headers)
+        self._stream = stream
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the stream."""
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._stream.close()

@@ -5,16 +5,20 @@ import shutil
 from typing import Annotated, Literal
 
 from anyio import to_thread
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import PlainTextResponse
 from pydantic import Field
 
-from lambent_server import job_queries, removals, render_rows
+from lambent_server import job_queries, removals, render_rows, run_logs
+from lambent_server.accounts import audit
+from lambent_server.change_messages import JobChange
 from lambent_server.clock import now
-from lambent_server.database.schema import artifacts
+from lambent_server.database.schema import artifacts, events
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.estimates import estimate
-from lambent_server.job_rows import CANCELLED, FAILED, FINAL, SUCCEEDED, read_events
+from lambent_server.feed import Feed, Subscription
+from lambent_server.idempotency import made_before, point_to
+from lambent_server.job_rows import CANCELLED, FAILED, FINAL, SUCCEEDED
 from lambent_server.messages import (
     Artifact,
     ArtifactList,
@@ -27,31 +31,19 @@ from lambent_server.messages import (
     NewEstimate,
     NewJob,
 )
-from lambent_server.pagination import PageFilter
+from lambent_server.pagination import FilePageFilter, LabelFilter, LongPageFilter, select_ordered
 from lambent_server.problems import conflict
-from lambent_server.routes.common import Id, ServicesOf, TenantOf, problems
+from lambent_server.routes.common import Id, ServicesOf, TenantOf, WhoOf, problems
+from lambent_server.routes.resources import IdempotencyKey, IfMatch, ResourceRoute, digest_of, require_match
 from lambent_server.services import Services
 
-router = APIRouter(tags=["jobs"])
-
-IdempotencyKey = Annotated[
-    str | None,
-    Header(
-        alias="Idempotency-Key",
-        pattern=r"^[\x21-\x7e]{1,200}$",
-        description="The same key with the same body gives the same job for a week.",
-    ),
-]
+router = APIRouter(tags=["jobs"], route_class=ResourceRoute)
 
 
-class JobFilter(PageFilter):
+class JobFilter(LabelFilter):
     """The jobs to list."""
 
     state: Annotated[list[JobState], Field(max_length=7, default_factory=list)]
-    label: Annotated[
-        list[Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,63}=[^\x00-\x1f\x7f]{0,200}$")]],
-        Field(max_length=8, description='"name=value"; all must hold', default_factory=list),
-    ]
     scene: Annotated[str | None, Field(pattern="^[a-z0-9_]{1,64}$", description="Only jobs of it.")] = None
     kind: Annotated[list[JobKind], Field(max_length=6, default_factory=list)]
     q: Annotated[
@@ -65,14 +57,27 @@ class JobFilter(PageFilter):
     sort: Literal["newest", "oldest"] = "newest"
 
 
+class EventFilter(LongPageFilter):
+    """The events to list."""
+
+    after: Annotated[
+        int, Field(ge=0, le=2**31 - 1, description="Number of the last event already received.")
+    ] = 0
+
+
 @router.post("/v1/jobs", status_code=202, responses=problems(400, 404, 409, 413, 422, 429, 507))
-def submit_job(services: ServicesOf, tenant: TenantOf, body: NewJob, key: IdempotencyKey = None) -> Job:
+def submit_job(
+    services: ServicesOf, tenant: TenantOf, who: WhoOf, body: NewJob, key: IdempotencyKey = None
+) -> Job:
     """Queue a job. After the response 202 the job is never lost."""
     services.require_disk()
-    digest = hashlib.sha256(body.model_dump_json().encode()).hexdigest()
+    # As before there were webhooks: keys hold across an upgrade.
+    unset = {"webhook"} if body.webhook is None else set()
+    digest = hashlib.sha256(body.model_dump_json(exclude=unset).encode()).hexdigest()
     with services.database.write() as connection:
         job = job_queries.submit_once(connection, tenant, body, services, key, digest)
         shown = job_queries.show(connection, tenant, job)
+        audit.record(connection, who, "submit_job", shown.id)
     services.wakeups.signal()
     return shown
 
@@ -88,14 +93,13 @@ def estimate_job(services: ServicesOf, tenant: TenantOf, body: NewEstimate) -> E
 @router.get("/v1/jobs", responses=problems(422))
 def list_jobs(services: ServicesOf, tenant: TenantOf, given: Annotated[JobFilter, Query()]) -> JobList:
     """List jobs, newest first unless `sort` says otherwise."""
-    labels = [tuple(each.split("=", 1)) for each in given.label]
     with services.database.read() as connection:
         found, cursor = job_queries.select_page(
             connection,
             tenant,
             states=given.state,
             kinds=given.kind,
-            labels=labels,
+            labels=[tuple(each.split("=", 1)) for each in given.label],
             scene_id=given.scene,
             words=given.q.strip(),
             oldest_first=given.sort == "oldest",
@@ -115,32 +119,58 @@ def _load(services: Services, tenant: Tenant, job_id: str) -> Job:
 async def get_job(
     services: ServicesOf,
     tenant: TenantOf,
+    request: Request,
     job_id: Id,
     wait: Annotated[float, Query(ge=0, le=60, description="Seconds to wait for the job to end.")] = 0.0,
 ) -> Job:
     """Return a job, at once or as soon as it has ended."""
+    if not wait:
+        return await to_thread.run_sync(_load, services, tenant, job_id)
     deadline = now() + min(wait, services.settings.max_wait_s)
-    while True:
-        job = await to_thread.run_sync(_load, services, tenant, job_id)
-        left = deadline - now()
-        if job.state in FINAL or left <= 0 or services.wakeups.closing:
-            return job
-        await services.wakeups.wait(min(left, services.settings.stream_poll_s))
+    feed: Feed = request.app.state.feed
+    told: dict[str, int] = {}
+    subscription = Subscription(frozenset({job_id}), told)
+    with feed.subscribed(tenant, subscription):
+        await feed.begin()
+        while True:
+            subscription.take()
+            job = await to_thread.run_sync(_load, services, tenant, job_id)
+            told[job_id] = job.last_event
+            left = deadline - now()
+            if job.state in FINAL or left <= 0 or services.wakeups.closing:
+                return job
+            await subscription.wait(left)
+
+
+@router.patch("/v1/jobs/{job_id:id}", responses=problems(400, 403, 404, 409, 412, 413, 422))
+def change_job(
+    services: ServicesOf, tenant: TenantOf, who: WhoOf, job_id: Id, body: JobChange, if_match: IfMatch = None
+) -> Job:
+    """Change the labels of a job, or the priority of one that waits."""
+    with services.database.write() as connection:
+        job = job_queries.require_job(connection, tenant, job_id, lock=True)
+        require_match(if_match, job_queries.show(connection, tenant, job))
+        job_queries.change_job(connection, tenant, job, body)
+        shown = job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, job_id))
+        audit.record(connection, who, "change_job", job_id)
+    services.wakeups.signal()
+    return shown
 
 
 @router.delete(
     "/v1/jobs/{job_id:id}", status_code=204, response_class=Response, responses=problems(403, 404, 409)
 )
-def delete_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Response:
+def delete_job(services: ServicesOf, tenant: TenantOf, who: WhoOf, job_id: Id) -> Response:
     """Delete a job that has ended, with its history, artifacts and log; its bundle stays."""
     with services.database.write() as connection:
         removals.delete_job(connection, tenant, job_id)
+        audit.record(connection, who, "delete_job", job_id)
     shutil.rmtree(services.settings.runs / job_id, ignore_errors=True)
     return Response(status_code=204)
 
 
 @router.post("/v1/jobs/{job_id:id}:cancel", status_code=202, responses=problems(404, 409))
-def cancel_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
+def cancel_job(services: ServicesOf, tenant: TenantOf, who: WhoOf, job_id: Id) -> Job:
     """Cancel a job; it is `cancelled` once its process is gone."""
     with services.database.write() as connection:
         job = job_queries.require_job(connection, tenant, job_id, lock=True)
@@ -148,15 +178,21 @@ def cancel_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
             raise conflict("job_final", f"job {job_id} has {job['state']}; that is final")
         job_queries.cancel(connection, job)
         shown = job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, job_id))
+        audit.record(connection, who, "cancel_job", job_id)
     services.wakeups.signal()
     return shown
 
 
-@router.post("/v1/jobs/{job_id:id}:retry", status_code=202, responses=problems(404, 409, 429, 507))
-def retry_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
+@router.post("/v1/jobs/{job_id:id}:retry", status_code=202, responses=problems(404, 409, 422, 429, 507))
+def retry_job(
+    services: ServicesOf, tenant: TenantOf, who: WhoOf, job_id: Id, key: IdempotencyKey = None
+) -> Job:
     """Queue a new job with the request of one that failed or was cancelled; the old one stays unchanged."""
     services.require_disk()
     with services.database.write() as connection:
+        known = made_before(connection, tenant, key, digest_of("retry", job_id), "")
+        if known is not None:
+            return job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, known))
         job = job_queries.require_job(connection, tenant, job_id)
         if job["state"] not in (FAILED, CANCELLED):
             raise conflict(
@@ -166,7 +202,9 @@ def retry_job(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Job:
             fresh = job_queries.submit(connection, tenant, job_queries.order_of(job), services)
         else:
             fresh = render_rows.queue_again(connection, tenant, job, services)
+        point_to(connection, tenant, key, fresh["id"])
         shown = job_queries.show(connection, tenant, fresh)
+        audit.record(connection, who, "retry_job", job_id, details={"job": fresh["id"]})
     services.wakeups.signal()
     return shown
 
@@ -176,16 +214,19 @@ def list_events(
     services: ServicesOf,
     tenant: TenantOf,
     job_id: Id,
-    after: Annotated[
-        int, Query(ge=0, le=2**31 - 1, description="Number of the last event already received.")
-    ] = 0,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
+    given: Annotated[EventFilter, Query()],
 ) -> EventList:
     """Return the history of a job, in order."""
     with services.database.read() as connection:
         job_queries.require_job(connection, tenant, job_id)
-        found = read_events(connection, tenant, job_id, after, limit)
-    return EventList(items=[job_queries.show_event(row) for row in found])
+        found, cursor = select_ordered(
+            connection,
+            rows(tenant, events).where(events.c.job_id == job_id, events.c.seq > given.after),
+            [events.c.seq],
+            limit=given.limit,
+            cursor=given.cursor,
+        )
+    return EventList(items=[job_queries.show_event(row) for row in found], next_cursor=cursor)
 
 
 @router.get(
@@ -203,23 +244,27 @@ def get_log(
     job = _load(services, tenant, job_id)
     parts = []
     for run in range(1, job.run + 1):
-        path = services.settings.runs / job.id / f"run-{run}.log"
-        if path.exists():
-            with path.open("rb") as file:
-                file.seek(max(path.stat().st_size - tail_bytes, 0))
-                parts.append(f"== run {run} ==\n".encode() + file.read(tail_bytes))
+        found = run_logs.tail(services, tenant, job.id, run, tail_bytes)
+        if found is not None:
+            parts.append(f"== run {run} ==\n".encode() + found)
     text = b"\n".join(parts).decode("utf-8", errors="replace")
     return PlainTextResponse(text)
 
 
-@router.get("/v1/jobs/{job_id:id}/artifacts", responses=problems(404))
-def list_artifacts(services: ServicesOf, tenant: TenantOf, job_id: Id) -> ArtifactList:
-    """Return the files that a job has produced besides its bundle."""
+@router.get("/v1/jobs/{job_id:id}/artifacts", responses=problems(404, 422))
+def list_artifacts(
+    services: ServicesOf, tenant: TenantOf, job_id: Id, given: Annotated[FilePageFilter, Query()]
+) -> ArtifactList:
+    """Return the files that a job has produced besides its bundle, by name."""
     with services.database.read() as connection:
         job_queries.require_job(connection, tenant, job_id)
-        found = connection.execute(
-            rows(tenant, artifacts).where(artifacts.c.job_id == job_id).order_by(artifacts.c.name)
-        ).mappings()
+        found, cursor = select_ordered(
+            connection,
+            rows(tenant, artifacts).where(artifacts.c.job_id == job_id),
+            [artifacts.c.name],
+            limit=given.limit,
+            cursor=given.cursor,
+        )
         items = [
             Artifact(
                 name=row["name"],
@@ -230,4 +275,4 @@ def list_artifacts(services: ServicesOf, tenant: TenantOf, job_id: Id) -> Artifa
             )
             for row in found
         ]
-    return ArtifactList(items=items)
+    return ArtifactList(items=items, next_cursor=cursor)

@@ -1,55 +1,78 @@
 """Login of browsers: a one-time link is exchanged for a cookie that scripts cannot read."""
 
 from fastapi import APIRouter, Request, Response
+from sqlalchemy import Connection
 
+from lambent_server.accounts import audit, organisations
 from lambent_server.clock import rfc3339
-from lambent_server.http.identity import COOKIE, LoginCodes, cookie_token, end_session, open_session
+from lambent_server.http.identity import (
+    Redeemed,
+    cookie_token,
+    end_session,
+    is_trusted,
+    issue_login_code,
+    open_session,
+    redeem_login_code,
+)
 from lambent_server.keys import last_revoked_at
 from lambent_server.messages import LoginCode, LoginLink
 from lambent_server.problems import Problem
-from lambent_server.routes.common import ServicesOf, TenantOf, problems
+from lambent_server.routes.common import ServicesOf, TenantOf, WhoOf, problems
+from lambent_server.routes.cookies import end_of_session, give_session, visitor
 
 router = APIRouter(tags=["login"])
-
-
-def _codes(request: Request) -> LoginCodes:
-    codes: LoginCodes = request.app.state.login_codes
-    return codes
 
 
 @router.post("/v1/login", status_code=204, response_class=Response, responses=problems(400, 413, 422))
 def log_in(services: ServicesOf, request: Request, body: LoginCode) -> Response:
     """Exchange the code of a one-time link for a session cookie."""
-    tenant, made_at = _codes(request).redeem(body.code)
+    # All in one transaction: a link whose session could not be opened can be used again.
+    token = None
     with services.database.write() as connection:
-        # The link may have been created with a key that has been revoked since.
-        if tenant is None or made_at <= last_revoked_at(connection, tenant):
-            raise Problem(
-                401,
-                "login_code_invalid",
-                "this link has been used or is too old; `POST /v1/login-links` creates a new one",
-                headers={"www-authenticate": 'Bearer realm="lambent"'},
-            )
-        token = open_session(connection, tenant, services.settings.session_s)
+        used = redeem_login_code(connection, body.code)
+        if used is not None:
+            is_open = organisations.is_open(connection, used.tenant)
+            if is_open and _is_valid(connection, used):
+                lifetime_s = services.settings.session_s
+                token = open_session(connection, used.tenant, lifetime_s, maker=used.maker)
+            outcome = "login_code_invalid" if token is None else audit.DONE
+            who = visitor(request, used.tenant if is_open else audit.SERVER)
+            audit.record(connection, who, "log_in", outcome=outcome)
+    if token is None:
+        raise Problem(
+            401,
+            "login_code_invalid",
+            "this link has been used or is too old; `POST /v1/login-links` creates a new one",
+            headers={"www-authenticate": 'Bearer realm="lambent"'},
+        )
     response = Response(status_code=204)
-    secure = request.url.scheme == "https"
-    lifetime = int(services.settings.session_s)
-    response.set_cookie(COOKIE, token, max_age=lifetime, httponly=True, samesite="strict", secure=secure)
+    give_session(request, response, token, services.settings.session_s)
     return response
 
 
+def _is_valid(connection: Connection, used: Redeemed) -> bool:
+    """Return whether nobody has revoked a key since the link was made, and its maker has not left."""
+    is_known = is_trusted(connection, used.tenant, used.maker)
+    return is_known and used.made_at > last_revoked_at(connection, used.tenant)
+
+
 @router.post("/v1/logout", status_code=204, response_class=Response, responses=problems(403))
-def log_out(services: ServicesOf, request: Request, tenant: TenantOf) -> Response:
+def log_out(services: ServicesOf, request: Request, tenant: TenantOf, who: WhoOf) -> Response:
     """End the session of this browser, if there is one."""
     if token := cookie_token(request.headers.get("cookie", "")):
-        end_session(services.database, tenant, token)
+        with services.database.write() as connection:
+            end_session(connection, tenant, token)
+            audit.record(connection, who, "log_out")
     response = Response(status_code=204)
-    response.delete_cookie(COOKIE, httponly=True, samesite="strict", secure=request.url.scheme == "https")
+    end_of_session(request, response)
     return response
 
 
 @router.post("/v1/login-links", status_code=201, responses=problems(403))
-def create_login_link(request: Request, tenant: TenantOf) -> LoginLink:
-    """Create a link that logs in one browser, once."""
-    code, until = _codes(request).issue(tenant)
+def create_login_link(services: ServicesOf, request: Request, tenant: TenantOf, who: WhoOf) -> LoginLink:
+    """Create a link that logs in one browser, once; that browser then has all scopes."""
+    with services.database.write() as connection:
+        lifetime_s = services.settings.login_code_s
+        code, until = issue_login_code(connection, tenant, lifetime_s, who.maker)
+        audit.record(connection, who, "create_login_link")
     return LoginLink(url=f"{str(request.base_url).rstrip('/')}/#code={code}", expires_at=rfc3339(until))

@@ -9,34 +9,56 @@ from anyio import to_thread
 from fastapi import APIRouter, Body, Query, Request, Response
 
 from lambent_server import scene_rows
+from lambent_server.accounts import audit, quotas
+from lambent_server.accounts.admission import Admission
+from lambent_server.accounts.who import Who
 from lambent_server.archives import unpack
+from lambent_server.change_messages import SceneChange
 from lambent_server.database.schema import scene_files, scenes
 from lambent_server.database.tenancy import Tenant, rows
-from lambent_server.messages import NewScene, Plan, PlannedFile, Scene, SceneList, SceneReportAnswer
-from lambent_server.pagination import PageFilter, select_newest
+from lambent_server.label_rows import having
+from lambent_server.messages import NewScene, PlannedFile, Scene, SceneList, SceneReportAnswer
+from lambent_server.pagination import LabelFilter, select_newest
 from lambent_server.problems import Problem, invalid
-from lambent_server.routes.common import Id, ServicesOf, Sha, TenantOf, binary_body, problems
+from lambent_server.routes.common import Id, ServicesOf, Sha, TenantOf, WhoOf, binary_body, problems
+from lambent_server.routes.direct_uploads import offers
+from lambent_server.routes.resources import IdempotencyKey, IfMatch, ResourceRoute, digest_of, require_match
 from lambent_server.scene_figures import find_figures
 from lambent_server.scene_rows import SceneFile
 from lambent_server.services import Services
+from lambent_server.upload_messages import Plan
 from lambent_server.uploads import Upload, received
 
-router = APIRouter(tags=["scenes"])
+router = APIRouter(tags=["scenes"], route_class=ResourceRoute)
+
+FIRST_UPLOADS = 50
+"""Files for which a plan has addresses of the store; `files:uploads` gives those of others."""
 
 
 @router.post("/v1/scenes", status_code=201, responses=problems(400, 413, 422, 507))
-def create_scene(services: ServicesOf, tenant: TenantOf, body: NewScene) -> Scene:
+def create_scene(
+    services: ServicesOf, tenant: TenantOf, who: WhoOf, body: NewScene, key: IdempotencyKey = None
+) -> Scene:
     """Create an empty scene."""
     services.require_disk()
     with services.database.write() as connection:
-        return scene_rows.show(scene_rows.create(connection, tenant, body.name))
+        scene = scene_rows.create(connection, tenant, body, key, digest_of("scene", body))
+        audit.record(connection, who, "create_scene", scene["id"])
+        return scene_rows.show(scene)
 
 
 @router.get("/v1/scenes", responses=problems(422))
-def list_scenes(services: ServicesOf, tenant: TenantOf, given: Annotated[PageFilter, Query()]) -> SceneList:
+def list_scenes(services: ServicesOf, tenant: TenantOf, given: Annotated[LabelFilter, Query()]) -> SceneList:
     """List scenes, newest first."""
     with services.database.read() as connection:
-        found, cursor = select_newest(connection, tenant, scenes, limit=given.limit, cursor=given.cursor)
+        found, cursor = select_newest(
+            connection,
+            tenant,
+            scenes,
+            *having(tenant, scenes.c.id, given.label),
+            limit=given.limit,
+            cursor=given.cursor,
+        )
     return SceneList(items=[scene_rows.show(row) for row in found], next_cursor=cursor)
 
 
@@ -44,12 +66,14 @@ def list_scenes(services: ServicesOf, tenant: TenantOf, given: Annotated[PageFil
 def plan_files(
     services: ServicesOf,
     tenant: TenantOf,
+    who: WhoOf,
     scene_id: Id,
     body: Annotated[list[PlannedFile], Body(max_length=1_000_000)],
 ) -> Plan:
     """Declare the files of the scene; the response lists those that the server lacks or that are damaged.
 
-    A new plan replaces the previous one.
+    A new plan replaces the previous one. If files can be sent directly to the store, the response has
+    addresses for the first ones.
     """
     files = [SceneFile(file.path, file.sha256, file.size) for file in body]
     with services.database.write() as connection:
@@ -57,8 +81,13 @@ def plan_files(
         scene_rows.require_open(scene)
         scene_rows.check_files(files, services.settings)
         plan = scene_rows.plan(connection, tenant, scene, files)
+        sizes = {file.sha256: file.size_bytes for file in files}
+        new_bytes = sum(sizes[sha256] for sha256 in plan.missing)
+        quotas.check_bytes(connection, tenant, services.settings, float(new_bytes))
+        audit.record(connection, who, "plan_files", scene_id, details={"files": len(files)})
     missing = sorted({*plan.missing, *services.store.damaged(plan.known)})
-    return Plan(missing=missing, unsupported=plan.unsupported)
+    first = offers(services, tenant, {sha256: sizes[sha256] for sha256 in missing[:FIRST_UPLOADS]})
+    return Plan(missing=missing, unsupported=plan.unsupported, uploads=first)
 
 
 @router.put(
@@ -69,7 +98,7 @@ def plan_files(
     responses=problems(400, 404, 408, 409, 413, 422, 507),
 )
 async def put_file(
-    services: ServicesOf, tenant: TenantOf, scene_id: Id, sha256: Sha, request: Request
+    services: ServicesOf, tenant: TenantOf, who: WhoOf, scene_id: Id, sha256: Sha, request: Request
 ) -> Response:
     """Upload a planned file under its hash; repeating it changes nothing."""
     size = await to_thread.run_sync(_planned_size, services, tenant, scene_id, sha256)
@@ -78,7 +107,7 @@ async def put_file(
             raise invalid(
                 "digest_mismatch", "#", f"the body has the hash {upload.sha256}, the path says {sha256}"
             )
-        await to_thread.run_sync(_store, services, tenant, upload.path, sha256)
+        await to_thread.run_sync(_store, services, who, upload.path, sha256, "put_file")
     return Response(status_code=204)
 
 
@@ -94,8 +123,10 @@ def _planned_size(services: Services, tenant: Tenant, scene_id: str, sha256: str
     return int(size)
 
 
-def _store(services: Services, tenant: Tenant, path: Path, sha256: str) -> None:
-    services.store.put_file(services.database.write, tenant, path, sha256, "application/octet-stream")
+def _store(services: Services, who: Who, path: Path, sha256: str, action: str) -> None:
+    admission = Admission(who=who, settings=services.settings, action=action)
+    write, media_type = services.database.write, "application/octet-stream"
+    services.store.put_file(write, who.tenant, path, sha256, media_type, admission)
 
 
 @router.put(
@@ -103,13 +134,17 @@ def _store(services: Services, tenant: Tenant, path: Path, sha256: str) -> None:
     openapi_extra=binary_body(
         "application/zip", "application/x-tar", "application/gzip", "application/octet-stream"
     ),
-    responses=problems(400, 404, 408, 409, 413, 422, 507),
+    responses=problems(400, 404, 408, 409, 413, 422, 503, 507),
 )
-async def put_archive(services: ServicesOf, tenant: TenantOf, scene_id: Id, request: Request) -> Scene:
+async def put_archive(
+    services: ServicesOf, tenant: TenantOf, who: WhoOf, scene_id: Id, request: Request
+) -> Scene:
     """Upload the scene as zip, tar or tar.gz; it is committed once the archive has passed all checks."""
     await to_thread.run_sync(_require_open, services, tenant, scene_id)
     async with received(services, request, services.settings.max_scene_bytes) as upload:
-        return await to_thread.run_sync(_take_archive, services, tenant, scene_id, upload)
+        return await to_thread.run_sync(
+            _take_archive, services, who, scene_id, upload, limiter=services.decoders
+        )
 
 
 def _require_open(services: Services, tenant: Tenant, scene_id: str) -> None:
@@ -117,33 +152,41 @@ def _require_open(services: Services, tenant: Tenant, scene_id: str) -> None:
         scene_rows.require_open(scene_rows.require_scene(connection, tenant, scene_id))
 
 
-def _take_archive(services: Services, tenant: Tenant, scene_id: str, upload: Upload) -> Scene:
+def _take_archive(services: Services, who: Who, scene_id: str, upload: Upload) -> Scene:
+    tenant = who.tenant
     with tempfile.TemporaryDirectory(dir=services.settings.scratch) as name:
         try:
             members, left_out = unpack(upload.path, Path(name), services.settings)
         except Problem as problem:
+            if problem.retryable:
+                raise
             with services.database.write() as connection:
                 scene = scene_rows.require_scene(connection, tenant, scene_id, lock=True)
                 scene_rows.require_open(scene)
                 subject = problem.errors[0].pointer.removeprefix("#").removeprefix("/")
                 scene_rows.reject(connection, tenant, scene, problem.code, problem.detail, subject)
+                audit.record(connection, who, "put_archive", scene_id, outcome=problem.code)
             raise
         for member in members:
-            _store(services, tenant, member.file, member.sha256)
+            _store(services, who, member.file, member.sha256, "put_archive")
         with services.database.write() as connection:
             scene = scene_rows.require_scene(connection, tenant, scene_id, lock=True)
             files = [SceneFile(member.path, member.sha256, member.size_bytes) for member in members]
             extra = [SceneFile(path, "", 0) for path in left_out]
             scene_rows.plan(connection, tenant, scene, files + extra)
-            return scene_rows.show(scene_rows.commit(connection, tenant, scene))
+            committed = scene_rows.commit(connection, tenant, scene)
+            audit.record(connection, who, "put_archive", scene_id, details={"files": len(files)})
+            return scene_rows.show(committed)
 
 
 @router.post("/v1/scenes/{scene_id:id}:commit", responses=problems(404, 409))
-def commit_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Scene:
+def commit_scene(services: ServicesOf, tenant: TenantOf, who: WhoOf, scene_id: Id) -> Scene:
     """Finish the upload; every planned file must have been sent. Repeating it changes nothing."""
     with services.database.write() as connection:
         scene = scene_rows.require_scene(connection, tenant, scene_id, lock=True)
-        return scene_rows.show(scene_rows.commit(connection, tenant, scene))
+        committed = scene_rows.commit(connection, tenant, scene)
+        audit.record(connection, who, "commit_scene", scene_id)
+        return scene_rows.show(committed)
 
 
 @router.get("/v1/scenes/{scene_id:id}", responses=problems(404))
@@ -153,15 +196,34 @@ def get_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Scene:
         return scene_rows.show(scene_rows.require_scene(connection, tenant, scene_id))
 
 
+@router.patch("/v1/scenes/{scene_id:id}", responses=problems(400, 403, 404, 412, 413, 422))
+def change_scene(
+    services: ServicesOf,
+    tenant: TenantOf,
+    who: WhoOf,
+    scene_id: Id,
+    body: SceneChange,
+    if_match: IfMatch = None,
+) -> Scene:
+    """Change the name or the labels of a scene."""
+    with services.database.write() as connection:
+        scene = scene_rows.require_scene(connection, tenant, scene_id, lock=True)
+        require_match(if_match, scene_rows.show(scene))
+        changed = scene_rows.change_scene(connection, tenant, scene, body)
+        audit.record(connection, who, "change_scene", scene_id)
+        return scene_rows.show(changed)
+
+
 @router.delete(
     "/v1/scenes/{scene_id:id}", status_code=204, response_class=Response, responses=problems(404, 409)
 )
-def delete_scene(services: ServicesOf, tenant: TenantOf, scene_id: Id) -> Response:
+def delete_scene(services: ServicesOf, tenant: TenantOf, who: WhoOf, scene_id: Id) -> Response:
     """Delete a scene and its files; bundles made from it stay."""
     with services.database.write() as connection:
         scene_rows.delete(
             connection, tenant, scene_rows.require_scene(connection, tenant, scene_id, lock=True)
         )
+        audit.record(connection, who, "delete_scene", scene_id)
     return Response(status_code=204)
 
 

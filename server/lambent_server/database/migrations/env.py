@@ -1,8 +1,14 @@
 """Run by alembic with the connection that `Database.migrate` holds."""
 
 from alembic import context
+from lambent_server.database import blob_tables  # noqa: F401 (its tables belong to the metadata)
 from lambent_server.database.schema import metadata
 
-context.configure(connection=context.config.attributes["connection"], target_metadata=metadata)
+# One by one: locks of the first are not held while the last builds its indexes.
+context.configure(
+    connection=context.config.attributes["connection"],
+    target_metadata=metadata,
+    transaction_per_migration=True,
+)
 with context.begin_transaction():
     context.run_migrations()

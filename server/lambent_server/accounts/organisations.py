@@ -1,0 +1,58 @@
+"""Organisations: each is a tenant, whose rows no other can read."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from sqlalchemy import Connection
+
+from lambent_server.clock import now
+from lambent_server.database.people_schema import organisations
+from lambent_server.database.tenancy import Tenant, across_tenants, add_if_absent, change, rows
+from lambent_server.problems import Problem, conflict, invalid
+
+ID_PATTERN = r"[a-z0-9][a-z0-9_-]{0,39}"
+Row = Mapping[str, Any]
+
+
+def create(connection: Connection, tenant: Tenant, name: str) -> Row:
+    """Add an organisation with the limits of the settings; raises `organisation_exists` for a known id."""
+    if not name.strip() or len(name) > 100:
+        raise invalid("organisation_name_invalid", "#/name", "a name has 1 to 100 characters")
+    values = {"name": name.strip(), "created_at": now(), "retention_enforced": 0}
+    if not add_if_absent(connection, tenant, organisations, **values):
+        raise conflict("organisation_exists", f"there is an organisation {tenant.id!r} already")
+    return require(connection, tenant)
+
+
+def find(connection: Connection, tenant: Tenant) -> Row | None:
+    """Return the row of an organisation, or None if there is none with this id."""
+    row = connection.execute(rows(tenant, organisations)).mappings().one_or_none()
+    return None if row is None else dict(row)
+
+
+def require(connection: Connection, tenant: Tenant) -> Row:
+    """Return the row of an organisation; raises `organisation_not_found` if there is none."""
+    row = find(connection, tenant)
+    if row is None:
+        detail = f"there is no organisation {tenant.id!r}; `lambent admin org create {tenant.id}` makes it"
+        raise Problem(404, "organisation_not_found", detail)
+    return row
+
+
+def is_open(connection: Connection, tenant: Tenant) -> bool:
+    """Return whether there is an organisation with this id, and nobody has closed it."""
+    row = find(connection, tenant)
+    return row is not None and row["closed_at"] is None
+
+
+def update(connection: Connection, tenant: Tenant, **values: Any) -> Row:
+    """Change columns of an organisation, and return its row."""
+    require(connection, tenant)
+    connection.execute(change(tenant, organisations).values(**values))
+    return require(connection, tenant)
+
+
+def all_of_them(connection: Connection) -> list[Row]:
+    """Return the rows of all organisations, by id."""
+    found = connection.execute(across_tenants(organisations).order_by(organisations.c.tenant_id)).mappings()
+    return [dict(row) for row in found]

@@ -1,0 +1,152 @@
+"""Users, and the organisations that they belong to with a role."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, Table, delete, select, update
+
+from lambent_server.accounts.scopes import ROLES, ScopeName, of_role
+from lambent_server.clock import new_id, now
+from lambent_server.database.cluster_schema import login_codes
+from lambent_server.database.people_schema import members, organisations, users
+from lambent_server.database.schema import api_keys, sessions
+from lambent_server.database.tenancy import Tenant, across_tenants, add, change, remove, rows
+from lambent_server.problems import conflict, invalid, not_found
+
+OPERATOR = "operator"
+CLAIM = "claim"
+Row = Mapping[str, Any]
+
+
+def create(
+    connection: Connection,
+    *,
+    name: str,
+    email: str | None = None,
+    issuer: str | None = None,
+    subject: str | None = None,
+) -> Row:
+    """Add a user who belongs to no organisation yet; raises `user_exists` for a known address."""
+    address = None if email is None else email.strip().lower()
+    if address is not None and by_email(connection, address) is not None:
+        raise conflict("user_exists", f"there is a user with the address {address!r} already")
+    identifier = new_id("user")
+    values = {"name": name.strip() or address or "", "email": address, "issuer": issuer, "subject": subject}
+    connection.execute(users.insert().values(id=identifier, created_at=now(), **values))
+    return require(connection, identifier)
+
+
+def find(connection: Connection, user_id: str) -> Row | None:
+    """Return a user, or None."""
+    return _first(connection, users.c.id == user_id)
+
+
+def by_email(connection: Connection, email: str) -> Row | None:
+    """Return the user with an address, or None."""
+    return _first(connection, users.c.email == email.strip().lower())
+
+
+def by_subject(connection: Connection, issuer: str, subject: str) -> Row | None:
+    """Return the user whom a provider knows by this name, or None."""
+    return _first(connection, users.c.issuer == issuer, users.c.subject == subject)
+
+
+def _first(connection: Connection, *conditions: Any) -> Row | None:
+    row = connection.execute(select(users).where(*conditions)).mappings().one_or_none()
+    return None if row is None else dict(row)
+
+
+def require(connection: Connection, name: str) -> Row:
+    """Return the user with this id or address; raises `user_not_found`."""
+    row = find(connection, name) or by_email(connection, name)
+    if row is None:
+        raise not_found("user", name)
+    return row
+
+
+def change_user(connection: Connection, user_id: str, **values: Any) -> None:
+    """Change columns of a user."""
+    connection.execute(update(users).where(users.c.id == user_id).values(**values))
+
+
+def join(connection: Connection, tenant: Tenant, user_id: str, role: str, source: str = OPERATOR) -> None:
+    """Let a user belong to an organisation with a role, or change the role."""
+    if role not in ROLES:
+        raise invalid("role_unknown", "#/role", f"there is no role {role!r}; there are {', '.join(ROLES)}")
+    mine = members.c.user_id == user_id
+    known = connection.execute(change(tenant, members).where(mine).values(role=role, source=source))
+    if known.rowcount == 0:
+        values = {"user_id": user_id, "role": role, "source": source, "created_at": now()}
+        connection.execute(add(tenant, members, **values))
+
+
+def leave(connection: Connection, tenant: Tenant, user_id: str) -> bool:
+    """Let a user no longer belong to an organisation; keys, sessions and login links of theirs there end."""
+    gone = connection.execute(remove(tenant, members).where(members.c.user_id == user_id)).rowcount > 0
+    connection.execute(remove(tenant, sessions).where(_of_user(sessions, user_id)))
+    connection.execute(remove(tenant, login_codes).where(_of_user(login_codes, user_id)))
+    mine = (api_keys.c.user_id == user_id) & api_keys.c.revoked_at.is_(None)
+    connection.execute(change(tenant, api_keys).where(mine).values(revoked_at=now()))
+    return gone
+
+
+def memberships(connection: Connection, user_id: str) -> list[Row]:
+    """Return the open organisations that a user belongs to: id, name and role, by name."""
+    statement = (
+        across_tenants(members, members, organisations.c.name, organisations.c.closed_at)
+        .join(organisations, organisations.c.tenant_id == members.c.tenant_id)
+        .where(members.c.user_id == user_id, organisations.c.closed_at.is_(None))
+    )
+    return [dict(row) for row in connection.execute(statement.order_by(organisations.c.name)).mappings()]
+
+
+def scopes_of(membership: Row) -> frozenset[ScopeName]:
+    """Return what a member may do in the organisation."""
+    return of_role(membership["role"])
+
+
+def of_organisation(connection: Connection, tenant: Tenant) -> list[Row]:
+    """Return the members of an organisation with their users' rows, by name."""
+    columns = (users, members.c.role, members.c.source)
+    statement = rows(tenant, members, *columns).join(users, users.c.id == members.c.user_id)
+    return [dict(row) for row in connection.execute(statement.order_by(users.c.name)).mappings()]
+
+
+def everybody(connection: Connection) -> list[Row]:
+    """Return all users, by name."""
+    return [dict(row) for row in connection.execute(select(users).order_by(users.c.name)).mappings()]
+
+
+def end_sessions(connection: Connection, user_id: str) -> None:
+    """Sign a user out everywhere, and every browser that has opened a login link of theirs."""
+    for table in (sessions, login_codes):
+        connection.execute(delete(table).where(_of_user(table, user_id)))
+
+
+def _of_user(table: Table, user_id: str) -> ColumnElement[bool]:
+    """Return the condition that a session or the code of a login link is of a user, or of a key of theirs."""
+    own = select(api_keys.c.id).where(api_keys.c.user_id == user_id)
+    made = (table.c.maker_user_id == user_id) | table.c.maker_key_id.in_(own)
+    return made | (table.c.user_id == user_id) if "user_id" in table.c else made
+
+
+def revoke_keys(connection: Connection, user_id: str) -> None:
+    """Let no key of a user work any more."""
+    mine = (api_keys.c.user_id == user_id) & api_keys.c.revoked_at.is_(None)
+    connection.execute(update(api_keys).where(mine).values(revoked_at=now()))
+
+
+def require_member(connection: Connection, tenant: Tenant, name: str) -> str:
+    """Return the id of a member by id or address; raises `member_not_found`."""
+    user_id = str(require(connection, name)["id"])
+    if connection.execute(rows(tenant, members).where(members.c.user_id == user_id)).first() is None:
+        raise not_found("member", name)
+    return user_id
+
+
+def forget(connection: Connection, user_id: str) -> None:
+    """Delete a user with sessions, memberships and keys. What the user made stays with its organisation."""
+    end_sessions(connection, user_id)
+    connection.execute(delete(members).where(members.c.user_id == user_id))
+    connection.execute(delete(api_keys).where(api_keys.c.user_id == user_id))
+    connection.execute(delete(users).where(users.c.id == user_id))

@@ -1,0 +1,104 @@
+"""`lambent admin audit`: verify the chain of the log, export it, remove what is old enough."""
+
+import json
+from typing import Annotated
+
+import typer
+
+from lambent_server.admin.opened import JsonOption, age, opened
+from lambent_server.cli import DatabaseOption, DataOption
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, help="The audit log of each organisation.")
+OrgOption = Annotated[
+    str, typer.Option("--org", metavar="ORG", help="Only of this one; `-` for entries of no organisation.")
+]
+
+
+@app.command()
+def verify(
+    org: OrgOption = "",
+    expect: Annotated[
+        str,
+        typer.Option(
+            metavar="NUMBER:HASH", help="An entry that was noted earlier must still be there; with --org."
+        ),
+    ] = "",
+    data: DataOption = None,
+    database: DatabaseOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find changed, removed, added or reordered entries; exit code 1 if there are any.
+
+    Prints number and hash of the newest entry: kept elsewhere and given as --expect, it also proves that
+    nobody has written the whole log anew.
+    """
+    from lambent_server.accounts import audit
+    from lambent_server.database.tenancy import Tenant
+
+    if expect and not org:
+        raise typer.BadParameter("--expect needs --org")
+    failed = False
+    with opened(data, database) as services, services.database.snapshot() as connection:
+        wanted = [Tenant("" if org == "-" else org)] if org else audit.tenants(connection)
+        for tenant in wanted:
+            verdict = audit.verify(connection, tenant)
+            problem = verdict.problem
+            if expect and not problem and not audit.contains(connection, tenant, expect):
+                problem = f"there is no entry {expect}: the log was written anew, or this was removed"
+            failed |= bool(problem)
+            shown = {
+                "org": tenant.id or "-",
+                "ok": not problem,
+                "entries": verdict.num_entries,
+                "head": f"{verdict.number}:{verdict.hash}",
+                "problem": problem,
+            }
+            if as_json:
+                typer.echo(json.dumps(shown))
+            elif problem:
+                typer.echo(f"audit.broken: {shown['org']}: {problem}", err=True)
+            else:
+                typer.echo(f"{shown['org']}: {verdict.num_entries} entries are whole, head {shown['head']}")
+    raise typer.Exit(int(failed))
+
+
+@app.command()
+def export(org: OrgOption = "", data: DataOption = None, database: DatabaseOption = None) -> None:
+    """Print the log as JSON lines, oldest first."""
+    from lambent_server.accounts import audit
+    from lambent_server.clock import rfc3339
+    from lambent_server.database.tenancy import Tenant
+
+    with opened(data, database) as services, services.database.read() as connection:
+        wanted = [Tenant("" if org == "-" else org)] if org else audit.tenants(connection)
+        for tenant in wanted:
+            for row in audit.entries(connection, tenant):
+                entry = {**row, "at": rfc3339(row["at"]), "details": json.loads(row["details"])}
+                entry["org"] = entry.pop("tenant_id")
+                typer.echo(json.dumps(entry))
+
+
+@app.command()
+def prune(
+    org: OrgOption,
+    older: Annotated[str, typer.Option("--older-than", metavar="AGE", help="Such as 400d.")],
+    yes: Annotated[bool, typer.Option("--yes", help="Do it; without, entries are only counted.")] = False,
+    data: DataOption = None,
+    database: DatabaseOption = None,
+) -> None:
+    """Remove the oldest entries, which nothing else can; those that stay can still be verified."""
+    from lambent_server.accounts import audit
+    from lambent_server.accounts.who import operator
+    from lambent_server.clock import now
+    from lambent_server.database.tenancy import Tenant
+
+    tenant, before = Tenant("" if org == "-" else org), now() - age(older)
+    with opened(data, database) as services, services.database.write() as connection:
+        if not yes:
+            typer.echo(
+                f"{audit.num_before(connection, tenant, before)} entries; nothing was changed: add --yes"
+            )
+            return
+        num_entries = audit.remove_before(connection, tenant, before)
+        audit.record(connection, operator(tenant), "audit prune", details={"entries": num_entries})
+    typer.echo(f"{num_entries} entries removed")

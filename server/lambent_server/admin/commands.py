@@ -1,0 +1,198 @@
+"""status, servers, drain, maintenance, reconcile and keys; other groups are modules of their own."""
+
+import json
+import time
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lambent_server.admin import audit, jobs, organisations, people, retention, webhooks
+from lambent_server.admin.opened import JsonOption, columns, opened
+from lambent_server.cli import DatabaseOption, DataOption, keys
+
+if TYPE_CHECKING:
+    from lambent_server.services import Services
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    help="Operate the server of this machine, in its database: it may be running or not.",
+)
+app.add_typer(jobs.app, name="jobs")
+app.add_typer(webhooks.app, name="webhooks")
+app.add_typer(organisations.app, name="org")
+app.add_typer(people.app, name="user")
+app.add_typer(people.keys_app, name="key")
+app.add_typer(audit.app, name="audit")
+app.add_typer(retention.app, name="retention")
+app.command("quota")(organisations.quota)
+app.command("keys")(keys)
+
+StoreOption = Annotated[str | None, typer.Option(help="URL of the blob store, as for `lambent serve`.")]
+
+
+class Switch(StrEnum):
+    """On or off."""
+
+    ON = "on"
+    OFF = "off"
+
+
+def _state(services: "Services") -> dict[str, Any]:
+    from sqlalchemy import func, or_
+
+    from lambent_server.clock import rfc3339
+    from lambent_server.database.schema import jobs as job_table
+    from lambent_server.database.service_schema import webhook_deliveries
+    from lambent_server.database.tenancy import across_tenants
+    from lambent_server.job_rows import FINAL, HAS_RUN
+    from lambent_server.server_state import DRAIN, MAINTENANCE, read
+
+    active = job_table.c.state.not_in(FINAL)
+    has_process = or_(job_table.c.state.in_(HAS_RUN), job_table.c.handle.is_not(None))
+    waiting = webhook_deliveries.c.next_at.is_not(None)
+    with services.database.read() as connection:
+        notices = read(connection)
+        by_state = across_tenants(job_table, job_table.c.state, func.count()).where(active)
+        counts = dict(iter(connection.execute(by_state.group_by(job_table.c.state))))
+        running = across_tenants(job_table, func.count()).where(has_process)
+        processes = connection.execute(running).scalar_one()
+        unsent = connection.execute(across_tenants(webhook_deliveries, func.count()).where(waiting))
+        num_waiting = unsent.scalar_one()
+    told = {
+        name: {"since": rfc3339(notices[name].since), "message": notices[name].message}
+        if name in notices
+        else None
+        for name in (DRAIN, MAINTENANCE)
+    }
+    return {**told, "jobs": counts, "processes": processes, "webhooks_waiting": num_waiting}
+
+
+def _sandbox(services: "Services") -> dict[str, Any]:
+    """Return the layers around processes that decode uploads on this machine, and what is missing."""
+    from lambent_server.decoding import probe
+
+    layers = probe(services.settings)
+    return {"wanted": services.settings.sandbox, "in_force": layers.in_force, "missing": layers.missing}
+
+
+@app.command()
+def status(data: DataOption = None, database: DatabaseOption = None, as_json: JsonOption = False) -> None:
+    """Show drain and maintenance, unfinished jobs, waiting webhooks, and how uploads are decoded."""
+    with opened(data, database) as services:
+        found = {**_state(services), "sandbox": _sandbox(services)}
+    if as_json:
+        typer.echo(json.dumps(found))
+        return
+    for name in ("drain", "maintenance"):
+        notice = found[name]
+        text = f"on since {notice['since']} {notice['message']}".rstrip() if notice else "off"
+        typer.echo(f"{name:<18}{text}")
+    jobs_text = ", ".join(f"{count} {state}" for state, count in sorted(found["jobs"].items())) or "none"
+    typer.echo(f"{'unfinished jobs':<18}{jobs_text}")
+    typer.echo(f"{'processes':<18}{found['processes']}")
+    typer.echo(f"{'webhooks waiting':<18}{found['webhooks_waiting']}")
+    typer.echo(f"{'sandbox':<18}{', '.join(found['sandbox']['in_force'])}")
+    for name, reason in found["sandbox"]["missing"].items():
+        typer.echo(f"{'':<18}without {name}: {reason}")
+
+
+@app.command()
+def servers(data: DataOption = None, database: DatabaseOption = None, as_json: JsonOption = False) -> None:
+    """List the servers on this database, those that died lately among them, and which one leads."""
+    from dataclasses import asdict
+
+    from lambent_server.clock import rfc3339
+    from lambent_server.membership import members
+
+    with opened(data, database) as services, services.database.read() as connection:
+        found = members(connection)
+    if as_json:
+        for each in found:
+            times = {name: rfc3339(getattr(each, name)) for name in ("started_at", "beat_at")}
+            typer.echo(json.dumps({**asdict(each), **times}))
+        return
+    table: list[tuple[str, ...]] = [
+        ("server", "state", "machine", "url", "slots", "gpus", "version", "runs at")
+    ]
+    for each in found:
+        state = (
+            "leads" if each.leads else "alive" if each.is_alive else f"silent since {rfc3339(each.beat_at)}"
+        )
+        numbers = (str(each.slots), str(each.gpus), each.version)
+        table.append((each.id, state, each.hostname, each.url, *numbers, " ".join(each.endpoints)))
+    columns(table)
+
+
+@app.command()
+def drain(
+    switch: Annotated[Switch, typer.Argument(help="on, or off again.")] = Switch.ON,
+    message: Annotated[str, typer.Option(help="Why, for people who ask the server.")] = "",
+    wait: Annotated[bool, typer.Option("--wait", help="Return when no run is left.")] = False,
+    data: DataOption = None,
+    database: DatabaseOption = None,
+) -> None:
+    """Start no more runs: those that run go on to their end, and jobs are still accepted and queue up."""
+    from lambent_server.server_state import DRAIN
+
+    with opened(data, database) as services:
+        _tell(services, DRAIN, switch, message)
+        while wait and switch is Switch.ON and _state(services)["processes"]:
+            time.sleep(services.settings.tick_s)
+
+
+@app.command()
+def maintenance(
+    switch: Annotated[Switch, typer.Argument(help="on, or off again.")],
+    message: Annotated[str, typer.Option(help="What people are told whose changes are refused.")] = "",
+    retry_after_s: Annotated[
+        int, typer.Option("--retry-after", help="Seconds after which they may try again.", min=1, max=86400)
+    ] = 60,
+    data: DataOption = None,
+    database: DatabaseOption = None,
+) -> None:
+    """Refuse changes with 503 and Retry-After; reading works, and runs go on and report."""
+    from lambent_server.server_state import MAINTENANCE
+
+    with opened(data, database) as services:
+        _tell(services, MAINTENANCE, switch, message, retry_after_s)
+
+
+def _tell(services: "Services", name: str, switch: Switch, message: str, retry_after_s: int = 60) -> None:
+    from lambent_server.accounts import audit
+    from lambent_server.accounts.who import operator
+    from lambent_server.server_state import announce, withdraw
+
+    with services.database.write() as connection:
+        if switch is Switch.ON:
+            announce(connection, name, message, retry_after_s)
+        else:
+            withdraw(connection, name)
+        told = {"switch": str(switch), "message": message}
+        audit.record(connection, operator(audit.SERVER), name, details=told)
+    typer.echo(f"{name} {switch}; every server on this database follows within a second")
+
+
+@app.command()
+def reconcile(data: DataOption = None, database: DatabaseOption = None, store: StoreOption = None) -> None:
+    """Compare database and store now, and remove what no row names; stop the server first.
+
+    A running server does the same at its start and every hour. Exit code 1 when bytes are missing.
+    """
+    from lambent_server import reconciler, serving
+    from lambent_server.accounts import audit
+    from lambent_server.accounts.who import operator
+
+    with opened(data, database, store, with_store=True) as services:
+        try:
+            with serving.sole_user(services.settings.data):
+                num_missing = reconciler.reconcile(services)
+            with services.database.write() as connection:
+                missing = {"missing": num_missing}
+                audit.record(connection, operator(audit.SERVER), "reconcile", details=missing)
+        except serving.ServeError as error:
+            typer.echo(str(error), err=True)
+            raise typer.Exit(2) from error
+    typer.echo(f"{num_missing} blobs are missing")
+    raise typer.Exit(bool(num_missing))

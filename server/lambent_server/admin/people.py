@@ -1,0 +1,274 @@
+"""`lambent admin user` and `lambent admin key`: people, and keys of programs, of all organisations."""
+
+import json
+from typing import Annotated, Any
+
+import typer
+
+from lambent_server.admin.opened import JsonOption, age, columns, opened
+from lambent_server.cli import DatabaseOption, DataOption
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    help="People who sign in, and the organisations they belong to.",
+)
+keys_app = typer.Typer(
+    add_completion=False, no_args_is_help=True, help="Keys of programs, of all organisations."
+)
+UserArgument = Annotated[str, typer.Argument(metavar="USER", help="Id or e-mail address.")]
+OrgOption = Annotated[str, typer.Option("--org", metavar="ORG", help="Id of the organisation.")]
+RoleOption = Annotated[str, typer.Option("--role", help="viewer, editor or admin.")]
+ScopeOption = Annotated[
+    list[str], typer.Option("--scope", help="read, submit, render or admin; repeatable; all by default.")
+]
+
+
+@app.command()
+def add(
+    email: Annotated[
+        str, typer.Argument(metavar="USER", help="Address that the provider will vouch for, or id.")
+    ],
+    org: OrgOption = "default",
+    role: RoleOption = "editor",
+    name: Annotated[str, typer.Option(help="Name to show until the first sign-in.")] = "",
+    data: DataOption = None,
+    database: DatabaseOption = None,
+) -> None:
+    """Let somebody sign in, or give a user another role or a further organisation."""
+    from lambent_server.accounts import audit, organisations, users
+    from lambent_server.accounts.who import operator
+    from lambent_server.database.tenancy import Tenant
+    from lambent_server.problems import Problem
+
+    tenant = Tenant(org)
+    with opened(data, database) as services, services.database.write() as connection:
+        organisations.require(connection, tenant)
+        user = users.by_email(connection, email) or users.find(connection, email)
+        if user is None:
+            if "@" not in email:
+                detail = f"there is no user {email!r}, and a new one needs an e-mail address"
+                raise Problem(404, "user_not_found", detail)
+            user = users.create(connection, name=name, email=email)
+        users.join(connection, tenant, user["id"], role)
+        audit.record(connection, operator(tenant), "user add", user["id"], details={"role": role})
+    typer.echo(f"{user['id']} is {role} of {org}")
+
+
+@app.command()
+def remove(
+    user: UserArgument, org: OrgOption = "default", data: DataOption = None, database: DatabaseOption = None
+) -> None:
+    """Let somebody no longer belong to an organisation; sessions and keys there end at once."""
+    from lambent_server.accounts import audit, users
+    from lambent_server.accounts.who import operator
+    from lambent_server.database.tenancy import Tenant
+    from lambent_server.problems import not_found
+
+    tenant = Tenant(org)
+    with opened(data, database) as services, services.database.write() as connection:
+        found = users.require(connection, user)
+        if not users.leave(connection, tenant, found["id"]):
+            raise not_found("member", user)
+        audit.record(connection, operator(tenant), "user remove", found["id"])
+    typer.echo(f"{found['id']} is no member of {org} any more")
+
+
+@app.command("list")
+def list_users(
+    org: Annotated[str, typer.Option("--org", metavar="ORG", help="Only members of this one.")] = "",
+    data: DataOption = None,
+    database: DatabaseOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List people, and what they are in which organisation."""
+    from lambent_server.accounts import users
+    from lambent_server.clock import rfc3339
+
+    with opened(data, database) as services, services.database.read() as connection:
+        shown = []
+        for row in users.everybody(connection):
+            roles = {each["tenant_id"]: each["role"] for each in users.memberships(connection, row["id"])}
+            if org and org not in roles:
+                continue
+            seen = row["last_seen_at"]
+            shown.append(
+                {
+                    **{name: row[name] for name in ("id", "name", "email", "issuer")},
+                    "roles": roles,
+                    "last_seen_at": None if seen is None else rfc3339(seen),
+                    "disabled": row["disabled_at"] is not None,
+                }
+            )
+    _print(shown, ("id", "email", "name", "roles", "last_seen_at", "disabled"), as_json)
+
+
+def _print(shown: list[dict[str, Any]], names: tuple[str, ...], as_json: bool) -> None:
+    if as_json:
+        for each in shown:
+            typer.echo(json.dumps(each))
+        return
+    lines = [tuple(_text(each[name]) for name in names) for each in shown]
+    columns([tuple(name.upper() for name in names), *lines])
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name}: {each}" for name, each in value.items())
+    if isinstance(value, list):
+        return " ".join(value)
+    return "" if value is None else str(value)
+
+
+def _logs_of(connection: Any, user_id: str) -> list[str]:
+    """Return in whose logs it belongs what happens to a user: "" is that of the server."""
+    from lambent_server.accounts import audit, users
+
+    found = sorted(row["tenant_id"] for row in users.memberships(connection, user_id))
+    return found or [audit.SERVER.id]
+
+
+def _record(connection: Any, logs: list[str], action: str, user_id: str) -> None:
+    from lambent_server.accounts import audit
+    from lambent_server.accounts.who import operator
+    from lambent_server.database.tenancy import Tenant
+
+    for tenant_id in logs:
+        audit.record(connection, operator(Tenant(tenant_id)), action, user_id)
+
+
+@app.command()
+def disable(user: UserArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
+    """Sign somebody out everywhere, and let them in no more; their keys stop working."""
+    from lambent_server.accounts import users
+    from lambent_server.clock import now
+
+    with opened(data, database) as services, services.database.write() as connection:
+        found = users.require(connection, user)
+        users.change_user(connection, found["id"], disabled_at=now())
+        users.end_sessions(connection, found["id"])
+        users.revoke_keys(connection, found["id"])
+        _record(connection, _logs_of(connection, found["id"]), "user disable", found["id"])
+    typer.echo(f"{found['id']} disabled")
+
+
+@app.command()
+def enable(user: UserArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
+    """Let somebody in again; keys stay revoked."""
+    from lambent_server.accounts import users
+
+    with opened(data, database) as services, services.database.write() as connection:
+        found = users.require(connection, user)
+        users.change_user(connection, found["id"], disabled_at=None)
+        _record(connection, _logs_of(connection, found["id"]), "user enable", found["id"])
+    typer.echo(f"{found['id']} enabled")
+
+
+@app.command()
+def delete(
+    user: UserArgument,
+    yes: Annotated[bool, typer.Option("--yes", help="Do it; without, what is known is only shown.")] = False,
+    data: DataOption = None,
+    database: DatabaseOption = None,
+) -> None:
+    """Delete name, address, sessions and keys of somebody. What they made belongs to their organisation.
+
+    The audit log keeps the id of the user, which names nobody any more.
+    """
+    from lambent_server.accounts import users
+
+    with opened(data, database) as services, services.database.write() as connection:
+        found = users.require(connection, user)
+        member_of = sorted(row["tenant_id"] for row in users.memberships(connection, found["id"]))
+        if not yes:
+            typer.echo(f"{found['id']} {found['name']} {found['email'] or ''} of {', '.join(member_of)}")
+            typer.echo("nothing was changed: add --yes", err=True)
+            return
+        logs = _logs_of(connection, found["id"])
+        users.forget(connection, found["id"])
+        _record(connection, logs, "user delete", found["id"])
+    typer.echo(f"{found['id']} deleted")
+
+
+@keys_app.command("create")
+def create_key(
+    name: Annotated[str, typer.Argument(help="What the key is for.")],
+    org: OrgOption = "default",
+    scope: ScopeOption = [],  # noqa: B006 - typer reads it once
+    expires: Annotated[str, typer.Option(metavar="AGE", help="Valid for so long: 12h, 90d.")] = "",
+    user: Annotated[str, typer.Option(help="Whose key it is: id or address of a member.")] = "",
+    data: DataOption = None,
+    database: DatabaseOption = None,
+) -> None:
+    """Print a new key, this once."""
+    from pydantic import ValidationError
+
+    from lambent_server import keys
+    from lambent_server.accounts import audit, organisations, users
+    from lambent_server.accounts.who import operator
+    from lambent_server.database.tenancy import Tenant
+
+    tenant = Tenant(org)
+    try:
+        order = keys.NewKey.model_validate(
+            {"name": name, "scopes": scope or None, "expires_in_s": age(expires) if expires else None}
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise typer.BadParameter(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+    with opened(data, database) as services, services.database.write() as connection:
+        organisations.require(connection, tenant)
+        user_id = users.require_member(connection, tenant, user) if user else None
+        made = keys.create(connection, tenant, order, user_id=user_id)
+        audit.record(
+            connection, operator(tenant), "key create", made.id, details={"scopes": list(made.scopes)}
+        )
+    typer.echo(made.key)
+
+
+@keys_app.command("list")
+def list_keys(
+    org: Annotated[str, typer.Option("--org", metavar="ORG", help="Only of this one.")] = "",
+    data: DataOption = None,
+    database: DatabaseOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List keys, without the keys themselves."""
+    from lambent_server import keys
+    from lambent_server.database.schema import api_keys
+    from lambent_server.database.tenancy import across_tenants
+
+    statement = across_tenants(api_keys).order_by(api_keys.c.tenant_id, api_keys.c.id.desc())
+    if org:
+        statement = statement.where(api_keys.c.tenant_id == org)
+    with opened(data, database) as services, services.database.read() as connection:
+        shown = [
+            {"org": row["tenant_id"], **keys.show(dict(row)).model_dump()}
+            for row in connection.execute(statement).mappings()
+        ]
+    names = ("id", "org", "name", "scopes", "last_used_at", "expires_at", "revoked_at")
+    _print(shown, names, as_json)
+
+
+@keys_app.command()
+def revoke(
+    key: Annotated[str, typer.Argument(metavar="KEY", help="Id of the key.")],
+    data: DataOption = None,
+    database: DatabaseOption = None,
+) -> None:
+    """Let a key never work again."""
+    from lambent_server import keys
+    from lambent_server.accounts import audit
+    from lambent_server.accounts.who import operator
+    from lambent_server.database.schema import api_keys
+    from lambent_server.database.tenancy import Tenant, across_tenants
+    from lambent_server.problems import not_found
+
+    with opened(data, database) as services, services.database.write() as connection:
+        statement = across_tenants(api_keys, api_keys.c.tenant_id).where(api_keys.c.id == key)
+        tenant_id = connection.execute(statement).scalar_one_or_none()
+        if tenant_id is None:
+            raise not_found("key", key)
+        keys.revoke(connection, Tenant(tenant_id), key)
+        audit.record(connection, operator(Tenant(tenant_id)), "key revoke", key)
+    typer.echo(f"{key} revoked")

@@ -1,0 +1,44 @@
+"""The layer that answers writes with 503 while operators maintain the server; reads and runs go on."""
+
+import re
+from collections.abc import Awaitable, Callable, MutableMapping
+from typing import Any
+
+from anyio import to_thread
+
+from lambent_server.problems import Problem
+from lambent_server.server_state import MAINTENANCE, Notices
+
+Scope = MutableMapping[str, Any]
+App = Callable[[Scope, Any, Any], Awaitable[None]]
+
+_SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
+# POSTs that change nothing but who is logged in, or nothing at all.
+_READS = re.compile(r"/v1/(login|logout|login-links|shares:open|estimates|me:switch)")
+_CODE = "maintenance"
+
+
+class Maintenance:
+    """ASGI middleware around the routes, inside of the gate."""
+
+    def __init__(self, app: App, notices: Notices) -> None:
+        self._app = app
+        self._notices = notices
+
+    async def __call__(self, scope: Scope, receive: Any, send: Any) -> None:
+        """Answer one request, or refuse it."""
+        writes = scope["type"] == "http" and scope["method"] not in _SAFE
+        if writes and _READS.fullmatch(scope["path"]) is None:
+            known = self._notices.known()
+            if known is None:
+                known = await to_thread.run_sync(self._notices.now)
+            notice = known.get(MAINTENANCE)
+            if notice is not None:
+                raise Problem(
+                    503,
+                    _CODE,
+                    notice.message or "the server is being maintained and accepts no changes; reading works",
+                    retryable=True,
+                    headers={"retry-after": str(notice.retry_after_s)},
+                )
+        await self._app(scope, receive, send)

@@ -1,0 +1,137 @@
+"""What calls of run processes must pass before they are read: the token, and the limits of each run."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import grpc
+
+from lambent_server.metrics import WORKER_CALLS_REFUSED
+from lambent_server.secrets import is_run_token
+
+THREADS = 24
+"""Calls that are answered at the same time."""
+MAX_STREAMS = 12
+"""How many of them may be transfers of files, which take long: the other threads are free for heartbeats."""
+_BURST_S = 4.0
+_FORGET_AFTER_S = 60.0
+_TOO_MANY_RUNS = 1000
+
+
+@dataclass(slots=True)
+class _Use:
+    """What a run uses of its share."""
+
+    calls: int
+    allowance: float
+    at: float
+
+
+class Shares:
+    """Counts the calls of every run. Safe to use from several threads."""
+
+    def __init__(self, calls: int, calls_per_s: float, streams: int = MAX_STREAMS) -> None:
+        self._calls = calls
+        self._rate = calls_per_s
+        self._streams = streams
+        self._lock = threading.Lock()
+        self._uses: dict[str, _Use] = {}
+        self._num_streams = 0
+
+    def enter(self, run: str, *, stream: bool) -> str:
+        """Begin a call; return the reason why it is refused, or nothing if it may go on."""
+        at = time.monotonic()
+        with self._lock:
+            if len(self._uses) > _TOO_MANY_RUNS:
+                self._forget(at)
+            use = self._uses.setdefault(run, _Use(0, _BURST_S * self._rate, at))
+            use.allowance = min(use.allowance + self._rate * (at - use.at), _BURST_S * self._rate)
+            use.at = at
+            if use.allowance < 1.0:
+                return "rate"
+            if use.calls >= self._calls:
+                return "calls"
+            if stream and self._num_streams >= self._streams:
+                return "streams"
+            use.allowance -= 1.0
+            use.calls += 1
+            self._num_streams += stream
+        return ""
+
+    def leave(self, run: str, *, stream: bool) -> None:
+        """End a call that was let in."""
+        with self._lock:
+            self._uses[run].calls -= 1
+            self._num_streams -= stream
+
+    def _forget(self, at: float) -> None:
+        old = [run for run, use in self._uses.items() if not use.calls and at - use.at > _FORGET_AFTER_S]
+        for run in old:
+            del self._uses[run]
+
+
+class Gatekeeper(grpc.ServerInterceptor):  # type: ignore[misc]
+    """Rejects unauthenticated calls before a thread waits for their data, and those beyond a run's share."""
+
+    def __init__(self, secret: str, shares: Shares) -> None:
+        self._secret = secret
+        self._shares = shares
+
+    def intercept_service(self, continuation: Any, details: Any) -> Any:
+        """Return the handler of the call."""
+        given = str(dict(details.invocation_metadata).get("authorization", ""))
+        token = given.removeprefix("Bearer ")
+        if not is_run_token(self._secret, token):
+            # A stream handler, because other handlers read a message first.
+            return grpc.stream_unary_rpc_method_handler(
+                lambda _, context: context.abort(
+                    grpc.StatusCode.UNAUTHENTICATED, "this is not a token of a run"
+                )
+            )
+        handler = continuation(details)
+        return None if handler is None else self._limited(handler, token.rpartition(".")[0])
+
+    def _limited(self, handler: Any, run: str) -> Any:
+        """Return a handler that first takes a place of the run's share."""
+        given = {
+            "request_deserializer": handler.request_deserializer,
+            "response_serializer": handler.response_serializer,
+        }
+        if handler.response_streaming:
+            return grpc.unary_stream_rpc_method_handler(self._stream(handler.unary_stream, run), **given)
+        if handler.request_streaming:
+            return grpc.stream_unary_rpc_method_handler(
+                self._single(handler.stream_unary, run, True), **given
+            )
+        return grpc.unary_unary_rpc_method_handler(self._single(handler.unary_unary, run, False), **given)
+
+    def _enter(self, context: Any, run: str, stream: bool) -> None:
+        if reason := self._shares.enter(run, stream=stream):
+            WORKER_CALLS_REFUSED.labels(reason).inc()
+            context.abort(grpc.StatusCode.RESOURCE_EXHAUSTED, f"too many calls ({reason}); try again")
+
+    def _single(
+        self, behavior: Callable[[Any, Any], Any], run: str, stream: bool
+    ) -> Callable[[Any, Any], Any]:
+        def act(request: Any, context: Any) -> Any:
+            self._enter(context, run, stream)
+            try:
+                return behavior(request, context)
+            finally:
+                self._shares.leave(run, stream=stream)
+
+        return act
+
+    def _stream(
+        self, behavior: Callable[[Any, Any], Iterator[Any]], run: str
+    ) -> Callable[[Any, Any], Iterator[Any]]:
+        def act(request: Any, context: Any) -> Iterator[Any]:
+            self._enter(context, run, True)
+            try:
+                yield from behavior(request, context)
+            finally:
+                self._shares.leave(run, stream=True)
+
+        return act
