@@ -10,11 +10,13 @@ import httpx2
 
 from lambent import arguments, pictures, scenes
 from lambent import fetch as fetching
+from lambent.batch_calls import BatchCalls
 from lambent.connection import Connection, TransferProgress, ignore_progress
 from lambent.errors import JobNotSucceededError, UsageProblemError
-from lambent.models import Artifact, Batch, Environment, Event, Job, Scene, SceneReport, Share
+from lambent.models import Artifact, Environment, Event, Job, Scene, SceneReport, Share
 from lambent.settings import find_server
 from lambent.watch import PATIENCE_S, POLL_S, SILENCE_S, Watcher
+from lambent.webhook_calls import WebhookCalls
 
 DELETABLE = {
     "scene": "scenes",
@@ -22,6 +24,7 @@ DELETABLE = {
     "bundle": "bundles",
     "env": "environments",
     "share": "shares",
+    "webhook": "webhooks",
 }
 """Prefixes of the ids that can be deleted, and the path of each kind."""
 
@@ -34,11 +37,7 @@ def _job(job_id: str) -> str:
     return f"/v1/jobs/{arguments.identifier(job_id, 'job_id')}"
 
 
-def _batch(batch_id: str) -> str:
-    return f"/v1/batches/{arguments.identifier(batch_id, 'batch_id')}"
-
-
-class Client:
+class Client(BatchCalls):
     """A connection to one server; use it as a context manager or call `close`.
 
     Without arguments it talks to the server of LAMBENT_URL, or to the one that `lambent serve` runs on
@@ -80,6 +79,11 @@ class Client:
         """Close the connection."""
         self._connection.close()
 
+    @property
+    def webhooks(self) -> WebhookCalls:
+        """Subscriptions to changes of jobs, and what was delivered."""
+        return WebhookCalls(self._connection)
+
     def version(self) -> Mapping[str, Any]:
         """Return the server's name, version and schema version."""
         return dict(self._connection.json("GET", "/v1/version"))
@@ -116,9 +120,10 @@ class Client:
         self._connection.send("DELETE", _scene(scene_id))
 
     def delete(self, identifier: str) -> None:
-        """Delete a scene, a job that has ended, a bundle, an environment map or a link; the id says which.
+        """Delete a scene, a job that has ended, a bundle, an environment map, a link or a webhook.
 
-        A job's bundle outlives it, and so does what was made from a scene, a bundle or an environment.
+        The id says which it is. A job's bundle outlives it, and so does what was made from a scene, a bundle
+        or an environment.
         """
         kind = arguments.identifier(identifier, "identifier").partition("_")[0]
         if kind not in DELETABLE:
@@ -140,12 +145,14 @@ class Client:
         gpus: int | None = None,
         priority: int = 0,
         labels: Mapping[str, str] | None = None,
+        webhook: str = "",
         idempotency_key: str = "",
     ) -> Job:
         """Queue a job and return it; the same `idempotency_key` never makes a second one.
 
         `params` are settings over the preset, such as {"stage_one.num_rays": "512"}. `gpus` None leaves
         the number to the preset. Kind "prepare" finds cameras and masks only, "check" looks at the capture.
+        `webhook` is where the server tells that the job has ended (see `Client.webhooks`).
         """
         body = {
             "scene_id": arguments.identifier(scene_id, "scene_id"),
@@ -156,6 +163,7 @@ class Client:
             **({} if gpus is None else {"gpus": arguments.whole(gpus, "gpus", 0)}),
             "priority": arguments.whole(priority, "priority"),
             "labels": arguments.texts(labels, "labels"),
+            **({"webhook": arguments.text(webhook, "webhook")} if webhook else {}),
         }
         return Job.from_json(pictures.post(self._connection, "/v1/jobs", body, idempotency_key))
 
@@ -166,15 +174,7 @@ class Client:
         given = {"state": state, "label": label, "scene": scene, "kind": kind}
         params = {key: value for key, value in given.items() if arguments.text(value, key)}
         limit = arguments.whole(limit, "limit", 0)
-        return map(Job.from_json, islice(self._pages("/v1/jobs", params), limit or None))
-
-    def _pages(self, path: str, params: dict[str, str]) -> Iterator[Any]:
-        while True:
-            page = self._connection.json("GET", path, params=params)
-            yield from page["items"]
-            if not page.get("next_cursor"):
-                return
-            params["cursor"] = page["next_cursor"]
+        return map(Job.from_json, islice(self._connection.pages("/v1/jobs", params), limit or None))
 
     def job(self, job_id: str, *, wait_s: int = 0) -> Job:
         """Return a job; with `wait_s`, as soon as it has ended, but after that time (at most 60 s) anyway."""
@@ -188,6 +188,28 @@ class Client:
             if isinstance(update, Job) and update.is_final:
                 return update
         return self.job(job_id)
+
+    def change(
+        self,
+        identifier: str,
+        *,
+        labels: Mapping[str, str | None] | None = None,
+        priority: int | None = None,
+        name: str = "",
+    ) -> Mapping[str, Any]:
+        """Change a job, a scene or a bundle and return it as the server shows it; the id says which it is.
+
+        `labels` are merged with those it has, None removes one. `priority` is that of a waiting job, and
+        `name` that of a scene.
+        """
+        kind = arguments.identifier(identifier, "identifier").partition("_")[0]
+        body: dict[str, Any] = {} if labels is None else {"labels": dict(labels)}
+        if priority is not None:
+            body["priority"] = arguments.whole(priority, "priority")
+        if arguments.text(name, "name"):
+            body["name"] = name
+        path = f"/v1/{DELETABLE.get(kind, kind)}/{identifier}"
+        return dict(self._connection.json("PATCH", path, json=body))
 
     def cancel(self, job_id: str) -> Job:
         """Ask for a job to be stopped; it is "cancelling" until its process is gone."""
@@ -226,10 +248,8 @@ class Client:
 
     def events(self, job_id: str, *, after: int = 0) -> list[Event]:
         """Return the events of a job after number `after`."""
-        answer = self._connection.json(
-            "GET", _job(job_id) + "/events", params={"after": arguments.whole(after, "after", 0)}
-        )
-        return [Event.from_json(item) for item in answer["items"]]
+        params = {"after": arguments.whole(after, "after", 0)}
+        return [Event.from_json(item) for item in self._connection.pages(_job(job_id) + "/events", params)]
 
     def logs(self, job_id: str) -> str:
         """Return the log of a job's runs as text."""
@@ -237,8 +257,7 @@ class Client:
 
     def artifacts(self, job_id: str) -> list[Artifact]:
         """Return the files that a job has published."""
-        answer = self._connection.json("GET", _job(job_id) + "/artifacts")
-        return [Artifact.from_json(item) for item in answer["items"]]
+        return [Artifact.from_json(item) for item in self._connection.pages(_job(job_id) + "/artifacts")]
 
     def read_artifact(self, artifact: Artifact) -> bytes:
         """Return the bytes of a published file; raises `fetch.digest_mismatch` for any others."""
@@ -254,8 +273,7 @@ class Client:
 
     def environments(self) -> list[Environment]:
         """Return the environment maps on the server, newest first."""
-        answer = self._connection.json("GET", "/v1/environments")
-        return [Environment.from_json(item) for item in answer["items"]]
+        return [Environment.from_json(item) for item in self._connection.pages("/v1/environments")]
 
     def push_environment(self, source: str | Path, *, name: str = "") -> Environment:
         """Upload an environment map (.exr or .hdr); one that the server has under that name is not sent."""
@@ -294,43 +312,6 @@ class Client:
         }
         return Job.from_json(pictures.post(self._connection, "/v1/renders", body, idempotency_key))
 
-    def submit_batch(self, order: Mapping[str, Any], *, idempotency_key: str = "") -> Batch:
-        """Queue a batch (the body of `POST /v1/batches`); the same `idempotency_key` makes one only."""
-        return Batch.from_json(
-            pictures.post(self._connection, "/v1/batches", arguments.mapping(order, "order"), idempotency_key)
-        )
-
-    def batch(self, batch_id: str) -> Batch:
-        """Return a batch."""
-        return Batch.from_json(self._connection.json("GET", _batch(batch_id)))
-
-    def batches(self) -> Iterator[Batch]:
-        """Return batches, newest first."""
-        return map(Batch.from_json, self._pages("/v1/batches", {}))
-
-    def cancel_batch(self, batch_id: str) -> Batch:
-        """Ask for every job of a batch to be stopped."""
-        path = _batch(batch_id) + ":cancel"
-        return Batch.from_json(self._connection.json("POST", path, repeatable=True))
-
-    def retry_batch(self, batch_id: str) -> Batch:
-        """Queue the parts of a batch that failed or were cancelled again; the batch keeps its id."""
-        return Batch.from_json(self._connection.json("POST", _batch(batch_id) + ":retry"))
-
-    def batch_artifacts(self, batch_id: str) -> list[Artifact]:
-        """Return the files that the jobs of a batch have published."""
-        answer = self._connection.json("GET", _batch(batch_id) + "/artifacts")
-        return [Artifact.from_json(item) for item in answer["items"]]
-
-    def fetch_batch(self, batch_id: str, target: str | Path) -> list[Path]:
-        """Write the pictures, the table and the contact sheets of a batch into the folder `target`.
-
-        Returns their paths. Files that are there with the same bytes are kept. The table and the sheets come
-        last: a batch that has not ended has none yet.
-        """
-        files = pictures.for_people(self.batch_artifacts(batch_id))
-        return fetching.download_all(self._connection, files, arguments.file_path(target, "target"))
-
     def peek(self, bundle_id: str, target: str | Path) -> Path:
         """Write manifest.json and cameras.json of a bundle into the folder `target`, and no other file."""
         return fetching.peek(
@@ -352,12 +333,15 @@ class Client:
     ) -> fetching.FetchedBundle:
         """Download the bundle of a finished job (or a bundle by its id) into the folder `target`.
 
-        Verified, atomic and resumable: see `lambent.fetch.fetch`. Raises `job.not_succeeded` when the job
-        has no bundle.
+        Verified, atomic and resumable: see `lambent.fetch.fetch`. The server's signed statement of where the
+        bundle is from, if it has one, comes beside it: `TARGET.provenance.json`. Raises `job.not_succeeded`
+        when the job has no bundle.
         """
         folder = arguments.file_path(target, "target")
         bundle_id = self._bundle_id(job_or_bundle_id)
-        return fetching.fetch(self._connection, bundle_id, folder, progress=progress)
+        fetched = fetching.fetch(self._connection, bundle_id, folder, progress=progress)
+        fetching.fetch_statement(self._connection, bundle_id, folder)
+        return fetched
 
     def share(
         self, job_or_bundle_id: str, *, expires_in_s: int = 7 * 24 * 3600, frame_ancestors: Sequence[str] = ()

@@ -4,7 +4,7 @@ import json
 import random
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,9 @@ from lambent.settings import ServerAddress
 
 RETRIED_STATUS = frozenset({429, 502, 503, 504})
 """Answers after which a request that may be repeated is repeated."""
+
+REDIRECT = "X-Lambent-Redirect"
+"""Asks for the address of the store instead of the bytes."""
 
 READ_TIMEOUT_S = 60.0
 NUM_TRIES = 4
@@ -48,7 +51,9 @@ class Connection:
         if address.api_key:
             headers["Authorization"] = f"Bearer {address.api_key}"
         self.address = address
-        self._sleep = sleep
+        self.sleep = sleep
+        self._transport = transport
+        self._store: httpx2.Client | None = None
         self._client = httpx2.Client(
             base_url=address.url,
             headers=headers,
@@ -61,6 +66,34 @@ class Connection:
     def close(self) -> None:
         """Close the connection."""
         self._client.close()
+        if self._store is not None:
+            self._store.close()
+
+    def _store_client(self) -> httpx2.Client:
+        """Return the client for addresses of the store, which must never get the key."""
+        if self._store is None:
+            timeout = httpx2.Timeout(READ_TIMEOUT_S, connect=5.0)
+            self._store = httpx2.Client(timeout=timeout, transport=self._transport)
+        return self._store
+
+    def put_to_store(
+        self, url: str, headers: Mapping[str, str], source: Path, offset: int, size_bytes: int
+    ) -> int:
+        """Send a range of a file to an address of the store and return the status of the answer."""
+
+        def pieces() -> Iterator[bytes]:
+            left = size_bytes
+            with source.open("rb") as file:
+                file.seek(offset)
+                while piece := file.read(min(PIECE_BYTES, left)):
+                    yield piece
+                    left -= len(piece)
+
+        sent = {**headers, "Content-Length": str(size_bytes), "Content-Type": "application/octet-stream"}
+        try:
+            return self._store_client().put(url, content=pieces(), headers=sent).status_code
+        except httpx2.TransportError as error:
+            raise _store_unreachable(url, error) from error
 
     def json(self, method: str, path: str, **request: Any) -> Any:
         """Return the decoded body of an answer (None when it is empty)."""
@@ -76,6 +109,16 @@ class Connection:
                 f"{method} {path} was answered with {media_type}, not JSON",
                 "check that LAMBENT_URL points at a Lambent server and not at something in front of it",
             ) from error
+
+    def pages(self, path: str, params: Mapping[str, Any] | None = None) -> Iterator[Any]:
+        """Yield the entries of a list, page by page."""
+        given = dict(params or {})
+        while True:
+            page = self.json("GET", path, params=given)
+            yield from page["items"]
+            if not page.get("next_cursor"):
+                return
+            given["cursor"] = page["next_cursor"]
 
     def send(
         self,
@@ -109,11 +152,13 @@ class Connection:
             except httpx2.TransportError as error:
                 if attempt == num_tries:
                     raise _unreachable(self.address, error) from error
-                self._sleep(_pause_s(attempt))
+                self.sleep(pause_s(attempt))
                 continue
             if response.status_code in RETRIED_STATUS and attempt < num_tries:
-                self._sleep(_pause_s(attempt, response.headers.get("Retry-After")))
+                self.sleep(pause_s(attempt, response.headers.get("Retry-After")))
                 continue
+            if response.status_code == 307:
+                response = self._read_from_store(response)
             _raise_for_problem(response)
             return response
         raise AssertionError("the loop above returns or raises")
@@ -141,27 +186,67 @@ class Connection:
         headers = {"Content-Length": str(source.stat().st_size), "Content-Type": media_type}
         return self.json(method, path, make_content=pieces, headers=headers, **request)
 
+    def _read_from_store(self, redirect: httpx2.Response) -> httpx2.Response:
+        url = redirect.headers["location"]
+        try:
+            return self._store_client().get(url)
+        except httpx2.TransportError as error:
+            raise _store_unreachable(url, error) from error
+
     @contextmanager
     def stream(
         self, path: str, *, headers: Mapping[str, str] | None = None, timeout_s: float, **request: Any
     ) -> Iterator[httpx2.Response]:
-        """Open a GET whose body is read piece by piece; tried once, `timeout_s` without a byte ends it."""
+        """Open a GET whose body is read piece by piece; tried once, `timeout_s` without a byte ends it.
+
+        The body comes from the server's store if it has an address for it that can be reached from here.
+        """
+        given = dict(headers or {})
         timeout = httpx2.Timeout(timeout_s, connect=5.0)
-        try:
-            with self._client.stream("GET", path, headers=headers, timeout=timeout, **request) as response:
+        with ExitStack() as stack:
+            try:
+                response = self._open(stack, path, {**given, REDIRECT: "1"}, timeout, request)
+                if response.status_code == 307:
+                    there = self._open_in_store(stack, response.headers["location"], given, timeout)
+                    response = there or self._open(stack, path, given, timeout, request)
                 if response.status_code >= 400:
                     response.read()
                     _raise_for_problem(response)
                 yield response
-        except httpx2.TransportError as error:
-            raise _unreachable(self.address, error) from error
+            except httpx2.TransportError as error:
+                raise _unreachable(self.address, error) from error
+
+    def _open(
+        self,
+        stack: ExitStack,
+        path: str,
+        headers: Mapping[str, str],
+        timeout: httpx2.Timeout,
+        request: Mapping[str, Any],
+    ) -> httpx2.Response:
+        opened = self._client.stream("GET", path, headers=headers, timeout=timeout, **request)
+        return stack.enter_context(opened)
+
+    def _open_in_store(
+        self, stack: ExitStack, url: str, headers: Mapping[str, str], timeout: httpx2.Timeout
+    ) -> httpx2.Response | None:
+        """Open an address of the store; None if it does not answer with the file."""
+        # The store has ETags of its own, and the address names bytes that never change.
+        given = {name: value for name, value in headers.items() if name.lower() == "range"}
+        try:
+            opened = self._store_client().stream("GET", url, headers=given, timeout=timeout)
+            response = stack.enter_context(opened)
+        except httpx2.TransportError:
+            return None
+        return response if response.status_code in (200, 206) else None
 
 
-def _pause_s(attempt: int, retry_after: str | None = None) -> float:
+def pause_s(attempt: int, retry_after: str | None = None) -> float:
+    """Return how many seconds to wait after a number of attempts."""
     if retry_after and retry_after.isdigit():
         return min(float(retry_after), 30.0)
     # Spread out, so that many clients of a restarted server do not come back in step.
-    return min(0.25 * 2.0 ** (attempt - 1), 5.0) * random.uniform(0.75, 1.25)  # noqa: S311
+    return min(0.25 * 2.0 ** min(attempt - 1, 10), 5.0) * random.uniform(0.75, 1.25)  # noqa: S311
 
 
 def _unreachable(address: ServerAddress, error: Exception) -> UnreachableError:
@@ -170,6 +255,15 @@ def _unreachable(address: ServerAddress, error: Exception) -> UnreachableError:
         "server.unreachable",
         f"no answer from {address.url} ({what})",
         "check that it runs (`lambent serve`, `lambent doctor`) and that LAMBENT_URL is right",
+    )
+
+
+def _store_unreachable(url: str, error: Exception) -> UnreachableError:
+    host = httpx2.URL(url).netloc.decode()
+    return UnreachableError(
+        "store.unreachable",
+        f"no answer from the server's store at {host} ({str(error) or type(error).__name__})",
+        "check that this machine can reach it, or ask the server's operator for LAMBENT_STORE_DIRECT=false",
     )
 
 

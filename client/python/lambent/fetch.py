@@ -12,6 +12,7 @@ from lambent.connection import Connection, TransferProgress, ignore_progress
 from lambent.errors import DigestMismatchError, RefusedError, UsageProblemError
 from lambent.file_hash import file_sha256
 from lambent.models import Artifact, FileEntry
+from lambent.provenance import beside
 
 PIECE_BYTES = 1 << 18
 
@@ -72,6 +73,26 @@ def fetch(
         target.rmdir()
     os.replace(partial, target)
     return FetchedBundle(bundle_id=bundle_id, path=target, files=entries)
+
+
+def fetch_statement(connection: Connection, bundle_id: str, target: Path) -> Path | None:
+    """Write the signed statement of a bundle beside the folder `target` and return its path.
+
+    None for bundles and servers from before there were statements; one of an earlier bundle at the same place
+    is removed, which would accuse this one of having been changed.
+    """
+    try:
+        statement = connection.send("GET", f"/v1/bundles/{bundle_id}/provenance").content
+    except RefusedError as error:
+        if error.status != 404:
+            raise
+        beside(target).unlink(missing_ok=True)
+        return None
+    path = beside(target)
+    partial = path.with_name(path.name + ".partial")
+    partial.write_bytes(statement)
+    os.replace(partial, path)
+    return path
 
 
 def peek(connection: Connection, bundle_id: str, target: Path) -> Path:

@@ -39,7 +39,7 @@ def local_server(data: Path) -> Iterator[LocalServer]:
         return
     data.mkdir(parents=True, exist_ok=True)
     log = data / "serve.log"
-    command = [sys.executable, "-m", "lambent", "serve", "--data", str(data), "--port", "0"]
+    command = [sys.executable, "-P", "-m", "lambent", "serve", "--data", str(data), "--port", "0"]
     with log.open("wb") as output:
         # A session of its own: Ctrl-C reaches this process only, which then stops the server in order.
         process = subprocess.Popen(

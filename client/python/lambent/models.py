@@ -110,6 +110,7 @@ class Job(_Message):
     seed: int = 0
     gpus: int = 0
     last_event: int = 0
+    webhook: str = ""
 
     @property
     def is_final(self) -> bool:
@@ -204,6 +205,40 @@ class Share(_Message):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class Webhook(_Message):
+    """A subscription to changes of jobs; `secret` is set where it was just made or replaced."""
+
+    id: str
+    url: str
+    name: str = ""
+    events: tuple[str, ...] = ()
+    labels: Mapping[str, str] = field(default_factory=dict)
+    enabled: bool = True
+    disabled_reason: str = ""
+    """"gone" if the receiver answered 410, "asked" if somebody disabled it."""
+    created_at: str = ""
+    secret: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class Delivery(_Message):
+    """A message to a receiver. `state` is "pending", "delivered" or "failed"; `id` is its `webhook-id`."""
+
+    id: str
+    state: str
+    event: str = ""
+    webhook_id: str = ""
+    job_id: str = ""
+    url: str = ""
+    created_at: str = ""
+    next_at: str = ""
+    ended_at: str = ""
+    num_attempts: int = 0
+    attempts: tuple[Mapping[str, Any], ...] = ()
+    """The newest: `at`, `status` (None without an answer), `error` and `seconds`."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Finding(_Message):
     """One thing about a scene: `severity` is "warning" or "error", `subject` a frame or file."""
 
@@ -241,6 +276,7 @@ class Scene(_Message):
     num_files: int = 0
     size_bytes: float = 0.0
     content_sha256: str = ""
+    labels: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
     """Files of the pushed folder that have no place in a scene; known to the push only."""
 
@@ -260,6 +296,8 @@ _READERS: Mapping[str, Callable[[Any], Any]] = {
     "seq": int,
     "findings": lambda items: tuple(map(Finding.from_json, items)),
     "job_ids": tuple,
+    "events": tuple,
+    "attempts": tuple,
     "frame_ancestors": tuple,
 }
 """How the values of these fields are read, in every message."""

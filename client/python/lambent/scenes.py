@@ -2,10 +2,14 @@
 
 import hashlib
 import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from lambent.connection import Connection, TransferProgress, ignore_progress
+from lambent.direct import DirectSender, LocalFile, NoWayError, is_store_away, patiently
 from lambent.errors import RefusedError, UsageProblemError
 from lambent.file_hash import file_sha256
 from lambent.models import FileEntry, Scene
@@ -73,8 +77,12 @@ def push(
     entries = list_files(source, progress)
     scene = _create(connection, name or source.resolve().name)
     files = [{"path": e.path, "size": e.size_bytes, "sha256": e.sha256} for e in entries]
-    plan = connection.json("POST", f"/v1/scenes/{scene.id}/files:plan", json=files, repeatable=True)
-    _send_missing(connection, scene.id, source, entries, set(plan["missing"]), progress)
+
+    def declare() -> Any:
+        return connection.json("POST", f"/v1/scenes/{scene.id}/files:plan", json=files, repeatable=True)
+
+    plan = patiently(connection, declare, is_store_away)
+    _send_missing(connection, scene.id, source, entries, plan, progress)
     committed = Scene.from_json(connection.json("POST", f"/v1/scenes/{scene.id}:commit", repeatable=True))
     return replace(committed, left_out=tuple(plan.get("unsupported") or ()))
 
@@ -88,21 +96,38 @@ def _send_missing(
     scene_id: str,
     folder: Path,
     entries: tuple[FileEntry, ...],
-    missing: set[str],
+    plan: Mapping[str, Any],
     progress: TransferProgress,
 ) -> None:
+    missing = set(plan["missing"])
     # Two files with the same bytes are one upload.
     unique = {entry.sha256: entry for entry in entries if entry.sha256 in missing}
     total_bytes = sum(entry.size_bytes for entry in unique.values())
     done_bytes = 0
-    for entry in unique.values():
+    files = [
+        LocalFile(path=folder / entry.path, sha256=entry.sha256, size_bytes=entry.size_bytes)
+        for entry in unique.values()
+    ]
+    if plan.get("uploads"):
+
+        def add(sent_bytes: int) -> None:
+            nonlocal done_bytes
+            done_bytes += sent_bytes
+            progress("upload", min(done_bytes, total_bytes), total_bytes)
+
+        with suppress(NoWayError):
+            files = DirectSender(connection, scene_id, add).send(files, plan["uploads"])
+    for file in files:
 
         def advance(sent_bytes: int, before: int = done_bytes) -> None:
             progress("upload", before + sent_bytes, total_bytes)
 
-        path = f"/v1/scenes/{scene_id}/files/{entry.sha256}"
-        connection.upload("PUT", path, folder / entry.path, advance=advance)
-        done_bytes += entry.size_bytes
+        def put(file: LocalFile = file, advance: Callable[[int], None] = advance) -> None:
+            path = f"/v1/scenes/{scene_id}/files/{file.sha256}"
+            connection.upload("PUT", path, file.path, advance=advance)
+
+        patiently(connection, put) if plan.get("uploads") else put()
+        done_bytes += file.size_bytes
     progress("upload", total_bytes, total_bytes)
 
 

@@ -3,6 +3,7 @@
 The build of client/web writes them to the folder `dist` next to this module; wheels contain it.
 """
 
+import base64
 import hashlib
 import re
 from collections.abc import Sequence
@@ -33,6 +34,28 @@ _HASHED = "assets"
 _ELEMENT = "lambent-viewer.js"
 # The pages that compute in WebAssembly; workers have the policy of their own script.
 _WITHOUT_WASM = frozenset({"jobs.html", "masks.html", "share.html"})
+# Of pages that must not depend on the build; colours and sizes are those of client/web/src/page/page.css.
+_PLAIN_STYLE = """
+      :root { color-scheme: light dark; font: 16px / 1.5 system-ui, sans-serif; }
+      body {
+        margin: 0;
+        padding: 0 1rem;
+        background: light-dark(#faf8f5, #16130f);
+        color: light-dark(#231f1a, #efe9e0);
+      }
+      main {
+        max-width: 34rem;
+        margin: 18vh auto 2rem;
+        padding: 1.5rem;
+        border: 1px solid light-dark(#ddd5ca, #423a31);
+        border-radius: 0.6rem;
+        background: light-dark(#ffffff, #211d18);
+      }
+      h1, p, pre { margin: 0 0 0.75rem; overflow-wrap: anywhere; }
+      h1 { font-size: 1.6rem; line-height: 1.25; }
+      :last-child { margin-bottom: 0; }
+      a { color: light-dark(#95500a, #f0a850); }
+    """
 _SHARED_HEADERS = {
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
@@ -50,16 +73,20 @@ class PageFile:
     headers: dict[str, str]
 
 
-def content_policy(*, wasm: bool, frame_ancestors: Sequence[str] = ()) -> str:
-    """Return the Content-Security-Policy of a page: nothing inline, nothing from other origins.
+def content_policy(*, wasm: bool, frame_ancestors: Sequence[str] = (), style: str = "") -> str:
+    """Return the Content-Security-Policy of a page: nothing inline but `style`, nothing from other origins.
 
     With `wasm` scripts may compile WebAssembly, which is not the same as evaluating text. Only pages of the
-    origins `frame_ancestors`, which must be valid, may show the page in a frame.
+    origins `frame_ancestors`, which must be valid, may show the page in a frame. `style` is the text of the
+    page's only style element, which is allowed by its hash.
     """
     ancestors = " ".join(frame_ancestors) or "'none'"
     script = "'self' 'wasm-unsafe-eval'" if wasm else "'self'"
+    styles = "'self'"
+    if style:
+        styles = f"'sha256-{base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()}'"
     return (
-        f"default-src 'none'; script-src {script}; worker-src 'self'; style-src 'self'; "
+        f"default-src 'none'; script-src {script}; worker-src 'self'; style-src {styles}; "
         "img-src 'self' blob: data:; media-src 'self' blob:; connect-src 'self' blob: data:; "
         f"font-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors {ancestors}"
     )
@@ -190,6 +217,7 @@ def _plain_page(title: str, body: str) -> PageFile:
     <meta name="viewport" content="width=device-width, initial-scale=1" />
     <meta name="color-scheme" content="light dark" />
     <title>{title}</title>
+    <style>{_PLAIN_STYLE}</style>
   </head>
   <body>
     <main>
@@ -201,7 +229,7 @@ def _plain_page(title: str, body: str) -> PageFile:
     headers = {
         "content-type": _TYPES[".html"],
         "cache-control": "no-store",
-        "content-security-policy": content_policy(wasm=False),
+        "content-security-policy": content_policy(wasm=False, style=_PLAIN_STYLE),
         **_SHARED_HEADERS,
     }
     return PageFile(text.encode(), headers)

@@ -56,8 +56,10 @@ def _load(name: str) -> Any:
             function = point.load()
     except ModuleNotFoundError as error:
         raise missing_extra(name, error) from error
-    app = typer.Typer(add_completion=False)
-    app.command(name)(function)
+    app = function
+    if not isinstance(function, typer.Typer):
+        app = typer.Typer(add_completion=False)
+        app.command(name)(function)
     return typer.main.get_command(app)
 
 

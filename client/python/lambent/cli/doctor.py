@@ -172,7 +172,7 @@ def check_gpu(probe: str = _GPU_PROBE) -> Check:
         return Check("gpu", "ok", "not looked for: torch is not installed (not needed here)")
     try:
         answer = subprocess.run(
-            [sys.executable, "-c", probe], capture_output=True, text=True, timeout=60, check=False
+            [sys.executable, "-P", "-c", probe], capture_output=True, text=True, timeout=60, check=False
         )
     except subprocess.TimeoutExpired:
         advice = "the driver hangs: look at `nvidia-smi`, restart the machine; training on the CPU works"

@@ -2,9 +2,9 @@
 
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 
@@ -45,6 +45,7 @@ def submit(
             help="Where a photograph shows a grey card, pixels, and its reflectance (0.18).",
         ),
     ] = "",
+    webhook: Annotated[str, typer.Option(metavar="URL", help="Where to tell that the job has ended.")] = "",
     follow: Annotated[bool, typer.Option("--watch", help="Follow the job until it ends.")] = False,
     url: UrlOption = "",
     as_json: JsonOption = False,
@@ -66,6 +67,7 @@ def submit(
             labels=parse_pairs(labels, "--label"),
             priority=priority,
             gpus=gpus,
+            webhook=webhook,
         )
         output.result(job.id, job)
         if follow:
@@ -142,6 +144,26 @@ def retry(
         fresh = _each(jobs, client.retry, Output(as_json), _id_and_state)
         if follow:
             raise typer.Exit(follow_jobs(client, [job.id for job in fresh], as_json=as_json))
+
+
+def change(
+    ids: Annotated[list[str], typer.Argument(metavar="ID...", help="Jobs, scenes or bundles.")],
+    labels: Annotated[
+        list[str],
+        typer.Option("--label", metavar="KEY=VALUE", help="A label to set, KEY= removes it; repeatable."),
+    ] = [],  # noqa: B006
+    priority: Annotated[int | None, typer.Option(help="Priority of waiting jobs; larger first.")] = None,
+    url: UrlOption = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Change labels, or the priority of waiting jobs; exit code 4 when the server declined one of them."""
+    pairs = {key: value or None for key, value in parse_pairs(labels, "--label").items()}
+    with Client(url) as client:
+
+        def call(identifier: str) -> Mapping[str, Any]:
+            return client.change(identifier, labels=pairs or None, priority=priority)
+
+        _each(ids, call, Output(as_json), lambda shown: f"{shown['id']} changed")
 
 
 def logs(

@@ -34,6 +34,18 @@ _PANELS = {
     "With a server": (
         ("serve", "Run the server: API, pages, queue, and workers on this machine.", "", SERVER),
         ("keys", "Make, list, revoke and replace keys of the server on this machine.", "", SERVER),
+        (
+            "admin",
+            "Operate the server of this machine: drain, maintenance, jobs, webhooks.",
+            "",
+            SERVER,
+        ),
+        (
+            "store",
+            "Compare rows and files of the server on this machine, and remove what is left over.",
+            "",
+            SERVER,
+        ),
         ("push", "Upload a scene folder or archive; sends only what is missing.", "transfer"),
         ("submit", "Queue a training job on an uploaded scene.", "jobs"),
         ("watch", "Follow jobs until they end.", "jobs"),
@@ -41,8 +53,16 @@ _PANELS = {
         ("cancel", "Stop jobs.", "jobs"),
         ("retry", "Queue failed or cancelled jobs again, as new jobs.", "jobs"),
         ("delete", "Delete scenes, jobs, bundles, environments and links on the server.", "jobs"),
+        ("change", "Change labels of jobs, scenes and bundles, or the priority of waiting jobs.", "jobs"),
+        ("webhooks", "Have changes of jobs told to an address of yours.", "webhooks"),
         ("logs", "Print the log of a job.", "jobs"),
         ("fetch", "Download the bundle of a finished job; verified and resumable.", "transfer"),
+        (
+            "verify",
+            "Say whether a bundle is whole, and where it is from: checks the server's signature.",
+            "verify",
+            CLIENT,
+        ),
         ("share", "Make a link to a bundle, which other pages may show if it says so.", "transfer"),
     ),
     "Pictures from a bundle": (

@@ -58,7 +58,7 @@ class Trial:
     def __init__(self, command: list[str] | None = None) -> None:
         """Begin; `command` replaces the trial."""
         self._child = subprocess.Popen(
-            command or [sys.executable, "-c", _TRIAL],
+            command or [sys.executable, "-P", "-c", _TRIAL],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,

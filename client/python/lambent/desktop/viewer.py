@@ -248,7 +248,7 @@ def choose_file() -> Path | None:
     The dialog is another process: two programs' event loops do not share one. Raises UsageProblemError
     `view.no_dialog` where there is no tkinter to make it.
     """
-    done = subprocess.run([sys.executable, "-c", _DIALOG], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-P", "-c", _DIALOG], capture_output=True, text=True, check=False)
     if done.returncode:
         raise UsageProblemError(
             "view.no_dialog", "no file dialog can be opened here (tkinter)", "start with --env MAP"

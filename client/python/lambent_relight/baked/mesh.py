@@ -57,6 +57,8 @@ def mesh_from_glb(data: bytes) -> AtlasMesh:
     """Return the first primitive of a binary glTF file."""
     try:
         document, payload = glb_chunks(data)
+        if any("uri" in buffer for buffer in document["buffers"]):
+            raise ValueError("its data are in another file")
         primitive = document["meshes"][0]["primitives"][0]
         attributes = primitive["attributes"]
         vertices = glb_accessor(document, payload, attributes["POSITION"], "VEC3")

@@ -5,8 +5,10 @@ Nothing is unpacked to disk. A path is accepted when it is relative, has no ".."
 """
 
 import hashlib
+import lzma
 import stat
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path, PurePosixPath
@@ -17,6 +19,11 @@ from lambent_relight.errors import BundleError
 MAX_FILES = 4096
 MAX_FILE_BYTES = 4 << 30
 _BLOCK = 1 << 20
+# What reading an entry of a damaged archive raises. RuntimeError: it is encrypted, whatever the list says.
+_UNREADABLE = (
+    *(OSError, zipfile.BadZipFile, NotImplementedError, EOFError, ValueError, RuntimeError),
+    *(zlib.error, lzma.LZMAError),
+)
 
 
 class FileSource(Protocol):
@@ -82,7 +89,7 @@ class ZipSource:
         try:
             with zipfile.ZipFile(archive) as opened:
                 entries = [entry for entry in opened.infolist() if not entry.is_dir()]
-        except (zipfile.BadZipFile, OSError, ValueError) as error:
+        except (*_UNREADABLE, KeyError, IndexError, OverflowError) as error:
             raise BundleError(
                 "bundle.archive_damaged", f'"{archive.name}" is not a readable zip archive', "fetch it again"
             ) from error
@@ -139,37 +146,46 @@ def open_source(path: Path) -> FileSource:
 
 def read_checked(source: FileSource, path: str, *, limit_bytes: int) -> bytes:
     """Return a file's bytes; raises BundleError when it is damaged or above `limit_bytes`."""
+    data = bytearray()
     try:
         with source.open(path) as file:
-            data = file.read(limit_bytes + 1)
-    except (OSError, zipfile.BadZipFile, NotImplementedError, EOFError) as error:
+            # In blocks: a read of the limit would reserve as much memory.
+            while len(data) <= limit_bytes and (block := file.read(_BLOCK)):
+                data += block
+    except _UNREADABLE as error:
         raise _unreadable(path) from error
     if len(data) > limit_bytes:
         raise BundleError(
             "bundle.too_large", f'"{path}" is above {limit_bytes} bytes', "do not use this bundle"
         )
-    return data
+    return bytes(data)
 
 
 def verify(source: FileSource, path: str, size_bytes: int, sha256: str) -> None:
     """Raise BundleError unless the file has this size and this SHA-256; reads it in blocks of 1 MiB."""
     if size_bytes > MAX_FILE_BYTES:
         raise BundleError("bundle.too_large", f'"{path}" is above 4 GiB', "do not use this bundle")
-    actual = source.size_bytes(path)
-    digest = hashlib.sha256()
-    if actual == size_bytes:
-        try:
-            with source.open(path) as file:
-                while block := file.read(_BLOCK):
-                    digest.update(block)
-        except (OSError, zipfile.BadZipFile, NotImplementedError, EOFError) as error:
-            raise _unreadable(path) from error
-    if actual != size_bytes or digest.hexdigest() != sha256:
+    if source.size_bytes(path) != size_bytes or digest(source, path) != sha256:
         raise BundleError(
             "bundle.digest_mismatch",
             f'"{path}" is not the file the manifest describes',
             "fetch the bundle again",
         )
+
+
+def digest(source: FileSource, path: str) -> str:
+    """Return the SHA-256 of a file in lower-case hexadecimal, read in blocks of 1 MiB.
+
+    Raises BundleError when it is damaged.
+    """
+    found = hashlib.sha256()
+    try:
+        with source.open(path) as file:
+            while block := file.read(_BLOCK):
+                found.update(block)
+    except _UNREADABLE as error:
+        raise _unreadable(path) from error
+    return found.hexdigest()
 
 
 def _unreadable(path: str) -> BundleError:

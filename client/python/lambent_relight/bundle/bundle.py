@@ -189,6 +189,10 @@ def _check_files(manifest: BundleManifest, present: set[str], source: FileSource
     if extra:
         raise BundleError("bundle.file_unlisted", f"{extra[:8]} are not in the manifest", "remove them")
     for file in manifest.files:
+        if not (0.0 <= file.size_bytes < math.inf):
+            raise BundleError(
+                "bundle.manifest_invalid", f'"{file.path}" has no possible size', "export the bundle again"
+            )
         verify(source, file.path, int(file.size_bytes), file.sha256)
 
 
