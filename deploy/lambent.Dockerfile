@@ -1,4 +1,5 @@
-# The whole of Lambent on the CPU: server, worker and client in one image, run as an ordinary user.
+# The whole of Lambent: server, worker and client in one image, run as an ordinary user. Without TORCH_INDEX it
+# has CUDA's libraries and serves for GPUs too.
 FROM node:20-slim AS pages
 WORKDIR /opt/lambent/client/web
 COPY client/web/package.json client/web/package-lock.json ./
@@ -9,7 +10,7 @@ RUN npm run build
 FROM python:3.11-slim-bookworm
 
 RUN useradd --uid 10001 --create-home --shell /usr/sbin/nologin lambent \
-    && mkdir /data && chown lambent:lambent /data
+    && mkdir /data /store && chown lambent:lambent /data /store
 WORKDIR /opt/lambent
 
 # An index with torch's small CPU build; empty takes the registry's build, which is gigabytes larger.
@@ -26,12 +27,16 @@ COPY worker worker
 COPY client/python client/python
 COPY scripts scripts
 COPY --from=pages /opt/lambent/client/python/lambent_pages/dist client/python/lambent_pages/dist
-RUN pip install --no-cache-dir -c constraints.txt '.[server,worker,client]'
+# With `ray`, the same image is head and node of a Ray cluster.
+ARG EXTRAS=server,s3,oidc,worker,client
+RUN pip install --no-cache-dir -c constraints.txt ".[$EXTRAS]"
 
 # Waiting threads sleep; compiled kernels are kept where the user may write.
 ENV OMP_WAIT_POLICY=PASSIVE \
     NUMBA_CACHE_DIR=/tmp/numba \
     PYTHONUNBUFFERED=1
 USER 10001:10001
+# As Ctrl-C: whoever stops a container gives its runs the time to write a checkpoint.
+STOPSIGNAL SIGINT
 ENTRYPOINT ["lambent"]
 CMD ["--help"]
