@@ -199,7 +199,8 @@ def test_a_second_server_on_the_same_folder_is_refused(server: LiveServer):
 
 
 def test_the_server_starts_fast_and_stays_small_without_torch(started: Started):
-    assert started.busy_s < 3
+    # 2.3 s on an idle machine; a core that is shared with other tests does less in a second.
+    assert started.busy_s < 4
     assert started.size_bytes < 200 * 2**20
     assert "libtorch" not in started.libraries
     assert "numpy" not in started.libraries

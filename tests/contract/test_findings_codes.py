@@ -3,12 +3,16 @@
 import re
 from pathlib import Path
 
+import lambent_relight
 import lambent_worker
 from lambent_relight import asset
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "findings-codes.md"
 AREAS = "scene|run|config|device|evaluate|export|pipeline|training|benchmark|render|bake|mesh_file"
+CLIENT_AREAS = "bundle|environment|camera"
 FILES = {"run.json", "scene.json", "scene.xml", "benchmark.json"}
+# Modules, and a name of a file.
+NO_CODES = {"bundle.bundle", "environment.maps", "environment.exr"}
 
 
 def codes_in_sources():
@@ -27,3 +31,10 @@ def test_every_code_is_documented():
 
 def test_no_code_is_documented_that_does_not_exist():
     assert not codes_in_page() - codes_in_sources()
+
+
+def test_the_codes_of_the_clients_library_are_documented_and_exist():
+    folder = Path(lambent_relight.__path__[0])
+    text = "\n".join(path.read_text(encoding="utf-8") for path in folder.rglob("*.py"))
+    found = set(re.findall(rf'"((?:{CLIENT_AREAS})\.[a-z_]+)"', text)) - NO_CODES
+    assert found == set(re.findall(rf"`((?:{CLIENT_AREAS})\.[a-z_]+)`", PAGE.read_text(encoding="utf-8")))

@@ -46,7 +46,10 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
             "environments": [{"environment_id": sky}],
             "cameras": [{"turntable": 2}],
         }
+        webhook = expect(api.post("/v1/webhooks", json={"url": "https://example.com/"}), 201)["id"]
         yield {
+            "webhook_id": webhook,
+            "delivery_id": expect(api.post(f"/v1/webhooks/{webhook}:ping"), 202)["id"],
             "batch_id": expect(api.post("/v1/batches", json=batch), 202)["id"],
             "share_id": expect(api.post("/v1/bundles/bundle_y/shares", json={}), 201)["id"],
             "schema": schemathesis.openapi.from_asgi("/openapi.json", api.client.app),

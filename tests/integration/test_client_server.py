@@ -8,7 +8,7 @@ import zipfile
 import pytest
 from lambent import Client, Event, Job, RefusedError
 from lambent.scenes import content_sha256, list_files
-from support.live_server import LiveServer
+from support.live_server import LiveServer, wait_until
 from support.tcp_proxy import TcpProxy
 
 pytestmark = pytest.mark.slow
@@ -239,6 +239,26 @@ def test_a_bundle_is_fetched_whole_and_resumed_after_a_cut(client, finished, tmp
     again = tmp_path / "resumed"
     assert {p.relative_to(again): p.read_bytes() for p in again.rglob("*") if p.is_file()} == whole
     assert json.loads((again / "manifest.json").read_bytes())["files"]
+
+
+def test_a_compressed_bundle_is_fetched_whole_and_resumed_with_its_own_bytes(
+    server, client, finished, tmp_path
+):
+    url = f"/v1/bundles/{finished.bundle_id}/files/models/weights.bin"
+    answer = wait_until(
+        lambda: (answer := server.client.get(url)).headers.get("content-encoding") == "gzip" and answer
+    )
+    assert int(answer.headers["content-length"]) < len(answer.content) / 2
+    head = server.client.head(url)
+    for name in ("content-length", "content-encoding", "etag"):
+        assert head.headers[name] == answer.headers[name]
+    fetched = client.fetch(finished.id, tmp_path / "whole")
+    weights = (fetched.path / "models" / "weights.bin").read_bytes()
+    assert weights == answer.content
+    half = tmp_path / "resumed.partial" / "models" / "weights.bin"
+    half.parent.mkdir(parents=True)
+    half.write_bytes(weights[:5000])
+    assert client.fetch(finished.id, tmp_path / "resumed").files == fetched.files
 
 
 def test_a_login_link_leads_to_the_server_with_a_code(client):

@@ -5,6 +5,8 @@ import json
 import socket
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import httpx2
@@ -54,7 +56,9 @@ def test_half_open_requests_are_closed_and_the_server_answers_meanwhile(server: 
         for connection in connections:
             connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: local")
         began = time.monotonic()
-        assert httpx2.get(f"{server.url}/healthz").status_code == 200
+        # Before they are closed, which takes a second; the first request of a client loads certificates.
+        with httpx2.Client(verify=False) as client:
+            assert client.get(f"{server.url}/healthz").status_code == 200
         assert time.monotonic() - began < 1.0
         for connection in connections:
             read_all(connection)
@@ -97,7 +101,7 @@ def test_a_body_without_length_is_cut_off_at_the_limit(server: LiveServer):
 
 
 def test_a_thousand_slow_logins_and_a_thousand_idle_streams_harm_nobody(server: LiveServer):
-    """Each kind more than the 128 connections at which Granian stops by itself."""
+    """Each kind more than the 128 connections at which Granian stops by itself, from one client."""
     host = f"Host: {urlsplit(server.url).netloc}\r\n"
     slow = f"POST /v1/login HTTP/1.1\r\n{host}Content-Length: 200\r\n\r\n{{".encode()
     idle = f"GET /v1/events HTTP/1.1\r\n{host}Authorization: Bearer {server.key}\r\n\r\n".encode()
@@ -109,6 +113,41 @@ def test_a_thousand_slow_logins_and_a_thousand_idle_streams_harm_nobody(server: 
             seconds += [answer_time(f"{server.url}/v1/jobs", server.key) for _ in range(10)]
             # A server that is full answers none of them in the ten seconds that they have.
             assert max(seconds) < 5.0
+
+
+def test_a_client_that_holds_all_connections_it_can_leaves_some_to_others(tmp_path: Path):
+    """Without a word on any: Granian knows no limit for one client."""
+    small = {"max_connections": 200, "max_streams": 50, "max_bodies": 50, "max_requests": 50}
+    # Long enough that it is not the time-out that makes room.
+    with LiveServer(tmp_path / "data", header_timeout_s=60.0, **small) as server, ExitStack() as stack:
+        parts = urlsplit(server.url)
+        for _ in range(400):
+            held = stack.enter_context(socket.socket())
+            held.settimeout(0.2)
+            held.bind(("127.0.0.9", 0))
+            with contextlib.suppress(TimeoutError):
+                held.connect((parts.hostname, parts.port))
+        assert max(answer_time(f"{server.url}/healthz") for _ in range(5)) < 8.0
+        assert server.client.get("/v1/jobs").status_code == 200
+        lines = server.client.get("/metrics").text.splitlines()
+        (closed,) = [line for line in lines if line.startswith("lambent_connections_closed_total")]
+        assert float(closed.split()[1]) > 50
+
+
+def test_a_client_behind_a_trusted_proxy_is_known_by_the_address_that_the_proxy_names(tmp_path: Path):
+    limits = {"max_streams": 8, "trusted_proxies": "127.0.0.1", "stream_ping_s": 5.0}
+    with LiveServer(tmp_path / "data", **limits) as server, ExitStack() as stack:
+
+        def status(client: str) -> int:
+            headers = {"X-Forwarded-For": client}
+            return stack.enter_context(server.client.stream("GET", "/v1/events", headers=headers)).status_code
+
+        assert [status("10.0.0.1"), status("10.0.0.1")] == [200, 200]
+        refused = server.client.get("/v1/events", headers={"X-Forwarded-For": "10.0.0.1"})
+        assert (refused.status_code, refused.json()["quota"]["of"]) == (429, "address")
+        # Another address, but the same key.
+        refused = server.client.get("/v1/events", headers={"X-Forwarded-For": "10.0.0.2"})
+        assert (refused.status_code, refused.json()["quota"]["of"]) == (429, "key")
 
 
 def answer_time(url: str, key: str = "") -> float:

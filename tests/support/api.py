@@ -5,14 +5,19 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import structlog
+from lambent_server.accounts import organisations
 from lambent_server.app import make_app
 from lambent_server.clock import now
+from lambent_server.database.engine import Database
 from lambent_server.database.schema import api_keys
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant, add_if_absent
+from lambent_server.http.identity import issue_login_code
 from lambent_server.secrets import sha256_text
 from lambent_server.services import Services, open_services
 from lambent_server.settings import Settings
@@ -44,6 +49,11 @@ class Api:
         """Return a client with another key, or none."""
         headers = {} if key is None else {"Authorization": f"Bearer {key}"}
         return TestClient(self.client.app, base_url="http://localhost", headers=headers)
+
+    def login_code(self) -> str:
+        """Return the code of a one-time link that the server itself has made."""
+        with self.services.database.write() as connection:
+            return issue_login_code(connection, TENANT, 60.0)[0]
 
     def scene(self, files: dict[str, bytes] | None = None, *, commit: bool = True) -> str:
         """Return a scene with these files."""
@@ -86,13 +96,29 @@ def expect_problem(answer: Any, status: int, code: str) -> dict[str, Any]:
     return document
 
 
+@cache
+def empty_tables() -> bytes:
+    """Return a database file with every migration and no rows, which takes a fifth of a second to make."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "lambent.sqlite"
+        database = Database(f"sqlite:///{path}")
+        database.migrate()
+        database.close()
+        return path.read_bytes()
+
+
 @contextmanager
 def opened(data: Path, **settings: Any) -> Iterator[Api]:
     """Yield the interface on an empty data folder."""
     structlog.configure(processors=[drop_event])
     values = {"data": data, "disk_floor_bytes": 0, "local_gpus": 0, **settings}
+    if "database" not in settings and not (data / "lambent.sqlite").exists():
+        data.mkdir(parents=True, exist_ok=True)
+        (data / "lambent.sqlite").write_bytes(empty_tables())
     services = open_services(Settings(**values))
     with services.database.write() as connection:
+        if organisations.find(connection, STRANGER) is None:
+            organisations.create(connection, STRANGER, STRANGER.id)
         for tenant, key, name in ((TENANT, KEY, "test"), (STRANGER, STRANGER_KEY, "stranger")):
             values = {"id": f"key_{name}", "name": name, "key_sha256": sha256_text(key), "created_at": now()}
             add_if_absent(connection, tenant, api_keys, **values)

@@ -69,7 +69,7 @@ class FakeServer:
         if parts[1:] == ["files:plan"]:
             scene["files"] = json.loads(request.content)
             missing = [entry["sha256"] for entry in scene["files"] if entry["sha256"] not in self.blobs]
-            return httpx2.Response(200, json={"missing": missing, "unsupported": []})
+            return httpx2.Response(200, json={"missing": missing, "unsupported": [], "uploads": []})
         if parts[1:2] == ["files"]:
             if sha256(request.content) != parts[2]:
                 return problem(422, "digest_mismatch")
@@ -116,6 +116,8 @@ class FakeServer:
         files = self.bundles[parts[0]]
         if parts[1] == "manifest":
             return httpx2.Response(200, content=files["manifest.json"])
+        if parts[1] == "provenance":
+            return problem(404, "provenance_not_found")
         data = files["/".join(parts[2:])]
         first = request.headers.get("Range")
         if first:

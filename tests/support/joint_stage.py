@@ -27,6 +27,7 @@ EVERYTHING = {
     "gloss_from": 0.0,
     "metalness_prior": MetalnessPriorConfig(weight=0.1),
     "grey_weight": 0.1,
+    "tint_weight": 0.1,
     "grid_decay": 1.0,
     "warmup_steps": 0,
     "num_rays": 48,

@@ -2,7 +2,7 @@
 
 import contextlib
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,11 @@ import grpc
 import pytest
 from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
 from lambent_server.controller import Controller
-from lambent_server.executors import Gone, Handle, Launch, run_name
+from lambent_server.executors import ExecutorAwayError, Gone, Handle, Launch, run_name
+from lambent_server.executors.rooms import LocalRoom
+from lambent_server.membership import Membership
 from lambent_server.secrets import run_token
+from lambent_server.worker_certificates import ServerAddress
 from lambent_server.worker_service import serve_workers
 from support.api import Api, opened
 
@@ -27,6 +30,24 @@ class FakeExecutor:
     stops: list[tuple[int, bool]] = field(default_factory=list)
     gone: dict[int, int | None] = field(default_factory=dict)
     broken: bool = False
+    slots: int = 1
+    max_gpus_: int = 0
+    not_placed: str = ""
+    away: bool = False
+    adopts: bool = False
+    known: set[str] = field(default_factory=set)
+    forgotten: list[str] = field(default_factory=list)
+    runs_elsewhere: bool = False
+
+    def room(self, own: Sequence[Handle], _others: Sequence[Handle]) -> LocalRoom:
+        in_use = {gpu for handle in own for gpu in handle.get("gpus", ())}
+        return LocalRoom(self.slots - len(own), [g for g in range(self.max_gpus_) if g not in in_use])
+
+    def max_gpus(self) -> int:
+        return self.max_gpus_
+
+    def num_places(self) -> int:
+        return self.slots
 
     def start(self, launch: Launch) -> Handle:
         if self.broken:
@@ -35,14 +56,50 @@ class FakeExecutor:
         run = run_name(launch.job_id, launch.run)
         return {"pid": len(self.launches), "identity": "x", "run": run, "gpus": list(launch.gpus)}
 
-    def poll(self, handle: Handle) -> Gone | None:
+    def sees(self, handle: Handle) -> bool:
+        return "pid" in handle and handle.get("host") in (None, "here")
+
+    def poll(self, handle: Handle, *, has_reported: bool = False) -> Gone | None:
+        if self.away:
+            raise ExecutorAwayError("the cluster does not answer")
+        if self.not_placed:
+            return Gone(None, self.not_placed)
         return Gone(self.gone[handle["pid"]]) if handle["pid"] in self.gone else None
 
     def stop(self, handle: Handle, *, force: bool) -> None:
         self.stops.append((handle["pid"], force))
 
     def adopt(self, handle: Handle) -> bool:
-        return handle["pid"] not in self.gone
+        return self.adopts
+
+    def runs(self) -> frozenset[str]:
+        return frozenset(self.known)
+
+    def forget(self, run: str) -> None:
+        self.forgotten.append(run)
+
+    def close(self) -> None:
+        pass
+
+
+@dataclass
+class Others:
+    """A membership of which a test says who else lives."""
+
+    id: str = "server_here"
+    host: str = "here"
+    leads: bool = True
+    controls: bool = True
+    is_alone: bool = False
+    alive: set[str] = field(default_factory=set)
+
+    def is_alive(self, identifier: str) -> bool:
+        """Return whether a server lives."""
+        return identifier == self.id or identifier in self.alive
+
+    def endpoints(self, host: str) -> list[str]:
+        """Return where run processes of a host reach a server."""
+        return [f"tls:{host}:1"]
 
 
 @dataclass
@@ -104,9 +161,13 @@ def staged(folder: Path, **settings: Any) -> Iterator[Stage]:
     folder.mkdir(parents=True, exist_ok=True)
     with opened(folder / "data", **settings) as api:
         address = f"unix:{folder}/w.sock"
-        executor = FakeExecutor()
-        controller = Controller(api.services, executor, secret=SECRET, address=address)
-        server = serve_workers(api.services, SECRET, address)
+        given = api.services.settings
+        executor = FakeExecutor(slots=given.local_slots, max_gpus_=given.local_gpus or 0)
+        members = Membership(api.services.database, api.services.settings, host="here", endpoints=(address,))
+        controller = Controller(
+            api.services, executor, members, secret=SECRET, server_address=ServerAddress(address=address)
+        )
+        server = serve_workers(api.services, SECRET, address, servers=members.endpoints)
         channel = grpc.insecure_channel(address)
         try:
             yield Stage(

@@ -17,7 +17,7 @@ import numpy as np
 from google.protobuf import json_format
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight import load_bundle, load_environment
-from lambent_relight.cameras import Camera, turntable
+from lambent_relight.cameras import turntable
 from lambent_relight.directions import pixel_directions
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import write_environment
@@ -28,6 +28,7 @@ from support.analytic_bundle import write_manifest
 from support.analytic_scene import AnalyticScene, Box, Surface
 from support.baked_bundle import write_baked_bundle
 from support.golden_light import golden_light
+from support.view_camera import view_camera
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "bundles"
 SIDE = 256
@@ -93,7 +94,7 @@ def write_fixture(folder: Path) -> None:
                 "file": f"picture_{number}.rgba",
                 "map": name,
                 "rotateDeg": rotate_deg,
-                "camera": camera_of(cameras[view]),
+                "camera": view_camera(cameras[view]),
                 "albedoGain": edit.albedo_gain,
                 "roughnessScale": edit.roughness_scale,
             }
@@ -130,7 +131,7 @@ def _write_golden(folder: Path) -> None:
             {
                 "bundle": f"golden/{name}.relight.zip",
                 "picture": f"golden/{name}.rgba",
-                "camera": camera_of(camera),
+                "camera": view_camera(camera),
             }
         )
     (folder / "golden.json").write_text(json.dumps(listed), encoding="utf-8")
@@ -143,19 +144,6 @@ def _add_photograph(bundle: Path, name: str, picture: Path) -> None:
     image.convert("RGB").save(bundle / "preview" / f"photo_{name}.png")
     manifest = json_format.Parse((bundle / "manifest.json").read_text(), BundleManifest())
     write_manifest(bundle, manifest)
-
-
-def camera_of(camera: Camera) -> dict[str, object]:
-    """Return a camera as the viewer names its parts."""
-    return {
-        "width": camera.width,
-        "height": camera.height,
-        "focalX": camera.focal_x,
-        "focalY": camera.focal_y,
-        "centreX": camera.centre_x,
-        "centreY": camera.centre_y,
-        "cameraToWorld": camera.camera_to_world.ravel().tolist(),
-    }
 
 
 if __name__ == "__main__":

@@ -140,3 +140,47 @@ def test_a_broken_address_file_is_named(local_server):
     (local_server / "server.json").write_text("{}")
     with pytest.raises(UsageProblemError, match=r"server\.bad_address_file.*server\.json"):
         find_server(data=local_server, environ={})
+
+
+def stored(request: httpx2.Request) -> httpx2.Response:
+    """Answer as a server that sends readers to its store, and as that store."""
+    if request.url.host == "store":
+        assert "authorization" not in request.headers
+        assert "if-range" not in request.headers
+        return httpx2.Response(206 if "range" in request.headers else 200, content=b"from the store")
+    if request.headers.get("x-lambent-redirect") == "1":
+        return httpx2.Response(307, headers={"location": "http://store/blobs/x?signature=y"})
+    return httpx2.Response(200, content=b"from the server")
+
+
+def read(connection: Connection, **headers: str) -> tuple[int, bytes]:
+    with connection.stream("/v1/blobs/x", headers=headers, timeout_s=1.0) as response:
+        return response.status_code, response.read()
+
+
+def test_a_file_is_read_from_the_store_which_never_gets_the_key():
+    connection = connect(stored)
+    assert read(connection) == (200, b"from the store")
+    given = {"Range": "bytes=3-", "If-Range": '"x"'}
+    assert read(connection, **given) == (206, b"from the store")
+
+
+@pytest.mark.parametrize("status", [None, 403, 404, 500])
+def test_a_store_that_does_not_answer_with_the_file_is_passed_over(status):
+    def handler(request: httpx2.Request) -> httpx2.Response:
+        if request.url.host == "store":
+            if status is None:
+                raise httpx2.ConnectError("no route", request=request)
+            return httpx2.Response(status, content=b"<Error/>")
+        return stored(request)
+
+    assert read(connect(handler)) == (200, b"from the server")
+
+
+def test_an_answer_elsewhere_that_was_not_asked_for_is_followed_without_the_key():
+    def always(request: httpx2.Request) -> httpx2.Response:
+        if request.url.host != "store":
+            return httpx2.Response(307, headers={"location": "http://store/x"})
+        return stored(request)
+
+    assert connect(always).send("GET", "/v1/blobs/x").content == b"from the store"

@@ -8,6 +8,7 @@ from lambent import Client
 from lambent.errors import DigestMismatchError, JobNotSucceededError, UnreachableError, UsageProblemError
 from lambent.fetch import download_all
 from lambent.models import Artifact
+from lambent.provenance import beside, verify
 from lambent.scenes import content_sha256, list_files
 from support.fake_server import FakeServer, sha256
 
@@ -196,7 +197,18 @@ def test_fetching_again_downloads_nothing(server, client, tmp_path):
     client.fetch("bundle_1", tmp_path / "out")
     server.requests.clear()
     client.fetch("bundle_1", tmp_path / "out")
-    assert server.requests == ["GET /v1/bundles/bundle_1/manifest"]
+    # No file; the statement is small, and may have been lost.
+    assert server.requests == ["GET /v1/bundles/bundle_1/manifest", "GET /v1/bundles/bundle_1/provenance"]
+
+
+def test_a_statement_about_an_earlier_bundle_does_not_stay_beside_another(server, client, tmp_path):
+    server.add_bundle("bundle_1", FILES)
+    old = beside(tmp_path / "cup.relight")
+    old.write_text("about the bundle that was here")
+    client.fetch("bundle_1", tmp_path / "cup.relight")
+    assert not old.exists()
+    with pytest.raises(UsageProblemError, match=r"verify\.no_statement"):
+        verify(tmp_path / "cup.relight")
 
 
 def test_a_folder_with_other_things_is_left_alone(server, client, tmp_path):

@@ -7,8 +7,9 @@ from typing import NoReturn
 
 import pytest
 from lambent_proto.v1 import worker_pb2
-from lambent_server.executors import Launch
+from lambent_server.executors import Handle, Launch
 from lambent_server.outcomes import adjustments_of
+from sqlalchemy.exc import OperationalError
 from support.runs import Stage, staged
 
 
@@ -20,7 +21,7 @@ def stage(tmp_path: Path) -> Iterator[Stage]:
 
 def travel(stage: Stage, seconds: float) -> None:
     """Let time pass for the controller."""
-    stage.controller.lived.seconds += seconds
+    stage.controller.clocks.lived.seconds += seconds
 
 
 def test_larger_priority_goes_first_and_then_who_came_first(stage: Stage):
@@ -60,6 +61,17 @@ def test_gpus_are_handed_out_once_and_small_jobs_pass_by(tmp_path: Path):
         assert [(launch.job_id, launch.gpus) for launch in stage.executor.launches] == [
             (jobs[0], (0,)),
             (jobs[2], ()),
+        ]
+
+
+def test_a_job_gets_as_many_gpus_as_it_asks_for(tmp_path: Path):
+    with staged(tmp_path, local_slots=3, local_gpus=4) as stage:
+        scene = stage.api.scene()
+        jobs = [stage.api.job(scene, gpus=gpus)["id"] for gpus in (3, 2, 1)]
+        stage.controller.turn()
+        assert [(launch.job_id, launch.gpus) for launch in stage.executor.launches] == [
+            (jobs[0], (0, 1, 2)),
+            (jobs[2], (3,)),
         ]
 
 
@@ -285,3 +297,57 @@ def test_nobody_moves_a_job_that_somebody_else_has_moved(stage: Stage):
         assert not move(connection, seen, "running", run=1)
     assert stage.job(job)["state"] == "cancelled"
     assert stage.job(job)["last_event"] == 2
+
+
+def test_a_server_whose_controller_is_stuck_is_not_fit_to_lead(stage: Stage):
+    from lambent_server.controller import STUCK_S
+
+    members = stage.controller._members
+    assert members.is_fit()
+    stage.controller.turned_at -= STUCK_S + 10 * stage.api.services.settings.tick_s + 1.0
+    assert not members.is_fit()
+
+
+def test_runs_that_do_not_end_in_time_when_the_server_does_are_killed(tmp_path: Path):
+    with staged(tmp_path, stop_runs_s=0.2, max_losses_without_checkpoint=9) as stage:
+        job = stage.start()
+        stop = stage.executor.stop
+
+        def kill(handle: Handle, *, force: bool) -> None:
+            stop(handle, force=force)
+            if force:
+                stage.executor.gone[handle["pid"]] = -9
+
+        stage.executor.stop = kill
+        stage.controller.close(stop_runs=True)
+        assert stage.executor.stops == [(1, False), (1, True)]
+        # Nobody has to miss it first.
+        assert (stage.job(job)["state"], stage.job(job)["run"]) == ("queued", 1)
+
+
+def test_runs_on_other_machines_go_on_when_the_server_ends(stage: Stage):
+    stage.executor.runs_elsewhere = True
+    job = stage.start()
+    stage.controller.close(stop_runs=True)
+    assert (stage.executor.stops, stage.job(job)["state"]) == ([], "running")
+
+
+def test_what_ended_since_the_last_round_is_told_when_the_server_ends(stage: Stage):
+    job = stage.start()
+    stage.call("Heartbeat", job)
+    stage.executor.gone[1] = 1
+    stage.controller.close(stop_runs=False)
+    assert stage.job(job)["error"]["code"] == "run_crashed"
+
+
+def test_a_database_that_is_away_does_not_keep_a_server_from_ending(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+):
+    stage.start()
+
+    def away(*_: object, **__: object) -> NoReturn:
+        raise OperationalError("SELECT 1", {}, OSError("away"))
+
+    monkeypatch.setattr(stage.controller, "_read", away)
+    stage.controller.close(stop_runs=True)
+    assert stage.executor.stops == []

@@ -44,7 +44,8 @@ def checks(api: Api, status: int) -> dict[str, str]:
 
 def test_a_server_that_works_says_so(api: Api):
     parts = ("controller", "database", "disk", "files")
-    assert checks(api, 200) == dict.fromkeys(parts, "ok")
+    told = {"drain": "off", "maintenance": "off"}
+    assert checks(api, 200) == {**dict.fromkeys(parts, "ok"), **told}
 
 
 def test_a_locked_database_is_told_while_every_thread_of_the_requests_waits_for_it(api: Api):

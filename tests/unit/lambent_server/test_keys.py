@@ -1,10 +1,12 @@
 """Keys of programs: made, seen once, revoked, replaced; by REST and on the data folder."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import typer
+from lambent_server.accounts import audit
 from lambent_server.cli import keys as command
 from lambent_server.keys import FILE, accept_file
 from support.api import KEY, STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
@@ -70,7 +72,7 @@ def test_revoking_a_key_logs_out_the_browsers_and_ends_the_links_it_may_have_mad
     made = create(api)
     link = expect(api.other(made["key"]).post("/v1/login-links"), 201)["url"]
     browser = api.other(None)
-    first, _ = api.app.state.login_codes.issue(TENANT)
+    first = api.login_code()
     expect(browser.post("/v1/login", json={"code": first}), 204)
     expect(api.delete(f"/v1/keys/{made['id']}"), 204)
     expect_problem(browser.get("/v1/jobs"), 401, "not_authenticated")
@@ -81,7 +83,7 @@ def test_revoking_a_key_logs_out_the_browsers_and_ends_the_links_it_may_have_mad
 def test_a_browser_and_a_stranger_manage_no_keys(api: Api):
     made = create(api)
     browser, stranger = api.other(None), api.other(STRANGER_KEY)
-    code, _ = api.app.state.login_codes.issue(TENANT)
+    code = api.login_code()
     expect(browser.post("/v1/login", json={"code": code}), 204)
     csrf = {"x-lambent-csrf": "1"}
     expect_problem(browser.get("/v1/keys"), 403, "key_needed")
@@ -101,6 +103,28 @@ def test_a_key_whose_file_was_removed_ends_with_the_next_start(api: Api):
     new = accept(api)
     assert works(api, new)
     assert not works(api, old)
+
+
+def test_what_a_start_does_with_keys_is_recorded(api: Api):
+    def recorded() -> list[tuple[str, str, dict[str, object]]]:
+        with api.services.database.read() as connection:
+            entries = [each for each in audit.entries(connection, TENANT) if each["actor_kind"] == "operator"]
+        return [(each["action"], each["target"], json.loads(each["details"])) for each in entries]
+
+    def newest() -> str:
+        listed = expect(api.get("/v1/keys"), 200)["items"]
+        return str(next(row["id"] for row in listed if row["name"].startswith(FILE)))
+
+    before = len(recorded())
+    (api.services.settings.data / FILE).unlink(missing_ok=True)
+    accept(api)
+    first = newest()
+    accept(api)
+    (api.services.settings.data / FILE).unlink()
+    accept(api)
+    made, replaced = recorded()[before:]
+    assert made[:2] == ("serve key file", first)
+    assert replaced == ("serve key file", newest(), {"revoked": [first]})
 
 
 def test_rotating_the_key_of_the_file_writes_the_file(api: Api):

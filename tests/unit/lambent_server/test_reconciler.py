@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from lambent_server.reconciler import Reconciler, note_key_uses, reconcile
-from support.api import Api, expect, opened, sha256
+from lambent_server.housekeeping import sweep
+from lambent_server.reconciler import Reconciler, examine, note_key_uses, reconcile
+from support.api import TENANT, Api, expect, opened, sha256
 
 OLD = time.time() - 2 * 86400
 CONTENT = b"{}"
@@ -83,8 +84,8 @@ def test_bytes_that_get_a_row_while_the_store_is_compared_stay(api: Api, monkeyp
     path = put(api, CONTENT, OLD)
     listed = api.services.store.listed
 
-    def then_uploaded(digits: str) -> dict[str, tuple[int, float]]:
-        found = listed(digits)
+    def then_uploaded(digits: str, *folder: str) -> dict[str, tuple[int, float]]:
+        found = listed(digits, *folder)
         if path.name in found:
             api.scene()
             os.utime(path, (OLD, OLD))
@@ -157,3 +158,29 @@ def test_when_a_key_was_used_is_written_down(api: Api):
     assert expect(api.get("/v1/keys"), 200)["items"][0]["last_used_at"] is None
     note_key_uses(api.services)
     assert expect(api.get("/v1/keys"), 200)["items"][0]["last_used_at"] is not None
+
+
+def test_a_file_that_was_sent_and_that_nothing_refers_to_goes_when_it_is_old(
+    api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    api.scene()
+    source = tmp_path / "x"
+    source.write_bytes(b"of a run that was killed")
+    digest = sha256(b"of a run that was killed")
+    with monkeypatch.context() as earlier:
+        earlier.setattr("lambent_server.store.now", lambda: OLD)
+        earlier.setattr("lambent_server.claims.now", lambda: OLD)
+        api.services.store.put_file(api.services.database.write, TENANT, source, digest, "text/plain")
+    reconcile(api.services)
+    monkeypatch.setattr("lambent_server.housekeeping.now", lambda: time.time() + 3600)
+    assert sweep(api.services) == 1
+    assert not blob(api, b"of a run that was killed").exists()
+    assert blob(api, CONTENT).exists()
+
+
+def test_looking_changes_nothing(api: Api):
+    api.scene()
+    old = put(api, b"old", OLD)
+    found = examine(api.services)
+    assert (found.num_blobs, found.unknown, found.lost) == (2, {sha256(b"old"): 3}, [])
+    assert old.exists()

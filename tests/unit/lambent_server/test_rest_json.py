@@ -119,7 +119,7 @@ def test_a_rest_model_takes_its_message_and_gives_it_back(kind: type[Message], m
 
 
 def test_an_order_for_a_job_has_the_fields_of_its_message():
-    assert set(messages.NewJob.model_fields) == {field.name for field in job_pb2.JobSpec.DESCRIPTOR.fields}
+    assert set(messages.JobOrder.model_fields) == {field.name for field in job_pb2.JobSpec.DESCRIPTOR.fields}
 
 
 def test_enumerations_are_words():

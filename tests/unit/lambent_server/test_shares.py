@@ -1,14 +1,17 @@
 """Links to one bundle: they read it, and nothing else, until they end or are taken back."""
 
+import contextlib
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
+from lambent_server.accounts import organisations
 from lambent_server.clock import now
 from lambent_server.database.schema import shares as table
 from lambent_server.database.tenancy import change
 from lambent_server.housekeeping import sweep
-from lambent_server.shares import COOKIE, bundle_read
+from lambent_server.shares import COOKIE, bundle_read, find_any, is_active
 from support.api import STRANGER, STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
 from support.server_rows import add_bundle
 
@@ -162,3 +165,42 @@ def test_a_request_reads_a_bundle_only_by_its_files():
         ("GET", "/x/v1/bundles/b/manifest"),
     ):
         assert bundle_read(method, path) is None, path
+
+
+@contextlib.contextmanager
+def closed(api: Api) -> Iterator[None]:
+    """Close the organisation for a while."""
+    for at in (now(), None):
+        with api.services.database.write() as connection:
+            organisations.update(connection, TENANT, closed_at=at)
+        if at is not None:
+            yield
+
+
+def test_links_of_a_closed_organisation_show_nothing_until_it_is_open_again(api: Api):
+    share, token = make(api, expires_in_s=3600)
+    browser, program = visitor(api, token), api.other(token)
+    page = f"/embed/{share['id']}"
+    before = [(who, path) for who in (browser, program) for path in ("manifest", "files/models/cache.onnx")]
+    for who, path in before:
+        expect_any(who.get(f"/v1/bundles/bundle_shown/{path}"), 200)
+    assert api.other(None).get(page).status_code in (200, 503)
+    with closed(api):
+        for who, path in before:
+            expect_problem(who.get(f"/v1/bundles/bundle_shown/{path}"), 401, "not_authenticated")
+        expect_problem(api.other(None).post("/v1/shares:open", json={"token": token}), 401, "share_invalid")
+        answer = api.other(None).get(page)
+        assert answer.status_code in (410, 503)
+        assert "lambent-bundle" not in answer.text
+        assert api.other(None).get(f"{page}/picture").status_code == 404
+        with api.services.database.read() as connection:
+            row = find_any(connection, share["id"])
+        assert row is not None
+        assert not is_active(row)
+    for who, path in before:
+        expect_any(who.get(f"/v1/bundles/bundle_shown/{path}"), 200)
+
+
+def expect_any(answer: Any, status: int) -> None:
+    """Check the status of an answer that is no JSON."""
+    assert answer.status_code == status, answer.text

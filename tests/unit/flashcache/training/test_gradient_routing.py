@@ -37,6 +37,7 @@ REACHED = {
     "gloss": {"materials"},
     "metalness": {"materials"},
     "grey": {"environment"},
+    "tint": {"environment"},
     "fast": {"fast"},
     "sampler": {"light_sampler"},
     "grid_decay": {"nerf.density", "materials", "light_sampler"},

@@ -4,13 +4,15 @@ import contextlib
 import json
 import signal
 import subprocess
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import psutil
 import pytest
-from lambent_server.executors import Gone, Handle, Launch
-from lambent_server.executors.local import LocalExecutor, host_identity, process_identity
+from lambent_server.executors import Gone, Handle, Launch, local
+from lambent_server.executors.local import LocalExecutor, host_identity, process_identity, run_environment
 from lambent_server.settings import Settings
 from support.live_server import wait_until
 
@@ -119,7 +121,19 @@ def test_runs_share_nine_tenths_of_the_memory_where_nothing_else_is_set(
 
 def test_a_run_process_gets_no_secrets_of_the_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     kept = {"OMP_NUM_THREADS": "1", "LC_ALL": "C", "TORCH_HOME": "/t", "HF_HOME": "/h", "PYTHONPATH": "/p"}
-    secrets = ("AWS_SECRET_ACCESS_KEY", "PGPASSWORD", "LAMBENT_DATABASE", "LAMBENT_API_KEY", "HTTPS_PROXY")
+    secrets = (
+        *("AWS_SECRET_ACCESS_KEY", "AWS_ACCESS_KEY_ID", "AWS_SESSION_TOKEN", "AWS_PROFILE", "DATABASE_URL"),
+        *("PGPASSWORD", "PGHOST", "PGUSER", "PGSERVICEFILE", "PGPASSFILE", "HTTPS_PROXY", "SSH_AUTH_SOCK"),
+        *("LAMBENT_DATABASE", "LAMBENT_DATABASE_DIRECT", "LAMBENT_API_KEY", "LAMBENT_STORE", "LAMBENT_DATA"),
+        *(
+            "LAMBENT_STORE_ENDPOINT",
+            "LAMBENT_WEBHOOK_ALLOWED",
+            "GOOGLE_APPLICATION_CREDENTIALS",
+            "GITHUB_TOKEN",
+        ),
+        # These match a pattern.
+        *("NVIDIA_API_KEY", "HF_TOKEN", "PYTHON_REPOSITORY_PASSWORD", "TORCH_SECRET", "XDG_CREDENTIALS"),
+    )
     for name, value in {**kept, **dict.fromkeys(secrets, "secret")}.items():
         monkeypatch.setenv(name, value)
     ours = executor(tmp_path, "/usr/bin/env", run_environment=("HF_*",), run_memory_bytes=5)
@@ -131,3 +145,25 @@ def test_a_run_process_gets_no_secrets_of_the_server(tmp_path: Path, monkeypatch
     assert given["CUDA_VISIBLE_DEVICES"] == "3"
     assert json.loads(given["LAMBENT_RUN"]).items() >= {**RUN, "memory_bytes": 5}.items()
     assert "secret" not in given.values()
+    assert [name for name in given if name.startswith("LAMBENT")] == [
+        *("LAMBENT_RUN", "LAMBENT_SANDBOX", "LAMBENT_RUN_SLOTS")
+    ]
+
+
+def test_a_secret_that_is_named_letter_by_letter_is_passed_on():
+    given = {"HF_TOKEN": "a", "HF_HOME": "b", "HF_SECRET": "c", "NVIDIA_VISIBLE_DEVICES": "0"}
+    assert run_environment(given, ("HF_*", "HF_TOKEN")) == {
+        name: value for name, value in given.items() if name != "HF_SECRET"
+    }
+
+
+def test_two_who_ask_for_the_end_of_a_run_at_once_both_get_an_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(local, "_end_session", lambda *_: time.sleep(0.05))
+    runs = executor(tmp_path, "/bin/sh", "-c", "exit 3")
+    handle = runs.start(launch(tmp_path))
+    wait_until(lambda: process_identity(handle["pid"]) is None)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: runs.poll(handle), range(4)))
+    assert sorted(found, key=str) == [Gone(3), *[Gone(None)] * 3]

@@ -4,17 +4,26 @@ import gzip
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import lambent_pages
 import pytest
 from lambent_server.app import describe
+from lambent_server.database.cluster_schema import login_codes
 from lambent_server.database.schema import api_keys
-from lambent_server.database.tenancy import add
-from lambent_server.http.identity import COOKIE, LoginCodes
+from lambent_server.database.tenancy import add, rows
+from lambent_server.http import identity, middleware
+from lambent_server.http.budget import Budget
+from lambent_server.http.identity import COOKIE, issue_login_code, redeem_login_code
 from sqlalchemy.exc import OperationalError
+from starlette.responses import Response
+from starlette.testclient import TestClient
 from support.api import KEY, STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, sha256
 
 CSRF = {"x-lambent-csrf": "1"}
+
+# Those who sign in have not said who they are.
+PUBLIC = ("/v1/login", "/v1/shares:open", "/v1/sign-in", "/v1/sign-in/callback")
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +34,7 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
 
 def log_in(api: Api):
     """Return a browser's client: no key, a cookie."""
-    code, _ = api.app.state.login_codes.issue(TENANT)
+    code = api.login_code()
     browser = api.other(None)
     expect(browser.post("/v1/login", json={"code": code}), 204)
     return browser
@@ -39,11 +48,33 @@ def test_without_a_key_nothing_but_the_public_pages_answers(api: Api):
             url = url.replace("{share_id}", "x").replace("{key_id}", "x").replace("{environment_id}", "x")
             url = url.replace("{path}", "x").replace("{sha256}", "0" * 64)
             answer = nobody.request(method, url, json={} if path == "/v1/login" else None)
-            if path in ("/healthz", "/readyz", "/v1/version"):
+            if path in ("/healthz", "/readyz", "/v1/version", "/v1/provenance-key"):
                 assert answer.status_code == 200
-            elif path not in ("/v1/login", "/v1/shares:open"):
+            elif path not in PUBLIC:
                 expect_problem(answer, 401, "not_authenticated")
                 assert answer.headers["www-authenticate"].startswith("Bearer")
+
+
+def test_streams_of_one_key_are_looked_up_together(api: Api, monkeypatch: pytest.MonkeyPatch):
+    asked: list[str] = []
+
+    def who_of_key(services: Any, key: str) -> Any:
+        asked.append(key)
+        return identity.who_of_key(services, key)
+
+    async def stream(scope: Any, receive: Any, send: Any) -> None:
+        for _ in range(3):
+            assert scope["state"]["identify"]().tenant == scope["state"]["tenant"]
+        await Response()(scope, receive, send)
+
+    monkeypatch.setattr(middleware, "who_of_key", who_of_key)
+    services = api.services
+    gate = middleware.Gate(stream, services, frozenset({"localhost"}), "x", Budget(services.settings))
+    for key in (KEY, KEY, STRANGER_KEY):
+        client = TestClient(gate, base_url="http://localhost", headers={"Authorization": f"Bearer {key}"})
+        assert client.get("/v1/jobs").status_code == 200
+    # Each request for itself, and the streams of each key once.
+    assert asked == [KEY, KEY, KEY, STRANGER_KEY, STRANGER_KEY]
 
 
 def test_a_wrong_key_does_not_get_in(api: Api):
@@ -95,7 +126,7 @@ def test_a_foreign_host_name_is_refused(api: Api):
 
 
 def test_a_login_code_works_once_and_gives_a_cookie_scripts_cannot_read(api: Api):
-    code, _ = api.app.state.login_codes.issue(TENANT)
+    code = api.login_code()
     browser = api.other(None)
     answer = browser.post("/v1/login", json={"code": code})
     assert answer.status_code == 204
@@ -107,11 +138,40 @@ def test_a_login_code_works_once_and_gives_a_cookie_scripts_cannot_read(api: Api
     expect_problem(api.other(None).post("/v1/login", json={"code": "x"}), 401, "login_code_invalid")
 
 
-def test_a_login_code_ends(monkeypatch: pytest.MonkeyPatch):
-    codes = LoginCodes(60.0)
-    code, until = codes.issue(TENANT)
-    monkeypatch.setattr("lambent_server.http.identity.now", lambda: until + 1)
-    assert codes.redeem(code)[0] is None
+def test_a_login_code_ends(api: Api, monkeypatch: pytest.MonkeyPatch):
+    with api.services.database.write() as connection:
+        code, until = issue_login_code(connection, TENANT, 60.0)
+        monkeypatch.setattr("lambent_server.http.identity.now", lambda: until + 1)
+        assert redeem_login_code(connection, code) is None
+
+
+def test_a_login_code_is_used_up_only_with_the_session_that_it_gives(
+    api: Api, monkeypatch: pytest.MonkeyPatch
+):
+    code, browser = api.login_code(), api.other(None)
+
+    def fail(*_: Any, **__: Any) -> Any:
+        raise OSError("the machine is about to die")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("lambent_server.routes.login.open_session", fail)
+        expect_problem(browser.post("/v1/login", json={"code": code}), 500, "internal")
+    expect(browser.post("/v1/login", json={"code": code}), 204)
+
+
+def test_no_login_link_without_its_entry_in_the_audit_log(api: Api, monkeypatch: pytest.MonkeyPatch):
+    def codes() -> int:
+        with api.services.database.read() as connection:
+            return len(connection.execute(rows(TENANT, login_codes)).all())
+
+    def fail(*_: Any, **__: Any) -> Any:
+        raise OSError("the machine is about to die")
+
+    before = codes()
+    with monkeypatch.context() as patched:
+        patched.setattr("lambent_server.routes.login.audit.record", fail)
+        expect_problem(api.post("/v1/login-links"), 500, "internal")
+    assert codes() == before
 
 
 def test_a_browser_writes_only_with_the_header_and_from_this_site(api: Api):
@@ -298,3 +358,18 @@ def test_pages_that_were_not_built_are_explained(api: Api, monkeypatch: pytest.M
     assert answer.status_code == 503
     assert "make pages" in answer.text
     assert answer.headers["content-type"].startswith("text/html")
+
+
+def test_nobody_signs_in_too_often_from_one_address(tmp_path: Path):
+    with opened(tmp_path / "data", sign_ins_per_s=0.5, writes_burst_s=8.0) as api:
+        nobody = api.other(None)
+        for path, status in (("/v1/login", 401), ("/v1/shares:open", 401)):
+            body = {"code": "x"} if path == "/v1/login" else {"token": "x"}
+            assert nobody.post(path, json=body).status_code == status
+        for path in ("/v1/sign-in", "/v1/sign-in/callback"):
+            expect_problem(nobody.get(path), 404, "sign_in_not_found")
+        problem = expect_problem(nobody.get("/v1/sign-in"), 429, "rate_limited")
+        assert problem["quota"] == {"name": "sign_ins_per_s", "of": "address", "limit": 0.5, "used": 0.5}
+        assert "signs in or opens links" in problem["detail"]
+        # Whoever has signed in already is not affected.
+        expect(api.post("/v1/scenes", json={"name": "s"}), 201)

@@ -57,7 +57,7 @@ def test_an_archive_is_not_for_strangers_nor_behind_a_link(api: Api, bundle: str
 
 def test_lost_bytes_are_a_problem_before_the_download_and_a_huge_bundle_is_refused(api: Api, tmp_path: Path):
     broken = add_bundle(api, tmp_path, {"manifest.json": b"lost"}, bundle_id="bundle_lost")
-    api.services.store.delete(sha256(b"lost"))
+    api.services.store.delete_bytes(sha256(b"lost"))
     expect_problem(api.get(f"/v1/bundles/{broken}/archive"), 410, "blob_damaged")
     huge = add_bundle(api, tmp_path, {"manifest.json": b"huge"}, bundle_id="bundle_huge")
     with api.services.database.write() as connection:

@@ -9,8 +9,6 @@ import numpy as np
 import OpenEXR
 import pytest
 from lambent_relight import load_environment, write_environment
-from lambent_server.problems import Problem
-from lambent_server.routes.files import parse_range
 from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, sha256
 from support.server_rows import add_bundle
 
@@ -142,12 +140,6 @@ def damage(api: Api, data: bytes, left: bytes | None) -> Path:
     if left is not None:
         path.write_bytes(left)
     return path
-
-
-def test_an_empty_file_has_no_part():
-    assert parse_range("bytes=0-", 1) == (0, 1)
-    with pytest.raises(Problem):
-        parse_range("bytes=0-", 0)
 
 
 def exr(width: int, height: int, channels: tuple[str, ...] = ("B", "G", "R"), flags: int = 0) -> bytes:

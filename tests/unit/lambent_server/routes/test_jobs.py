@@ -27,7 +27,7 @@ def test_a_job_is_accepted_and_can_be_looked_at(api: Api, scene: str):
     assert expect(api.get(f"/v1/jobs/{job['id']}"), 200) == job
     events = expect(api.get(f"/v1/jobs/{job['id']}/events"), 200)["items"]
     assert [(each["seq"], each["type"], each["state"]) for each in events] == [(1, "state", "queued")]
-    assert expect(api.get(f"/v1/jobs/{job['id']}/artifacts"), 200) == {"items": []}
+    assert expect(api.get(f"/v1/jobs/{job['id']}/artifacts"), 200) == {"items": [], "next_cursor": None}
     assert api.get(f"/v1/jobs/{job['id']}/log").text == ""
 
 
@@ -53,6 +53,26 @@ def test_what_cannot_be_used_is_pointed_at(api: Api, scene: str, change: dict, p
     answer = api.post("/v1/jobs", json={"scene_id": scene, "preset": "tiny", **change})
     problem = expect_problem(answer, 422, "invalid_request")
     assert any(each["pointer"].startswith(pointer) for each in problem["errors"])
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [
+        ({"gpus": 4}, "3 GPU"),
+        ({"gpus": 2, "kind": "prepare"}, "only training can use several"),
+        ({"preset": "standard", "gpus": 4}, "3 GPU"),
+    ],
+)
+def test_more_gpus_than_a_job_can_use_are_refused(tmp_path: Path, order: dict, words: str):
+    with opened(tmp_path / "data", local_gpus=3) as api:
+        answer = api.post("/v1/jobs", json={"scene_id": api.scene(), "preset": "tiny", **order})
+        problem = expect_problem(answer, 422, "unsatisfiable_resources")
+        (error,) = problem["errors"]
+        assert error["pointer"] == "#/gpus"
+        assert words in error["message"]
+        assert expect(api.get("/v1/limits"), 200)["max_gpus"] == 3
+        assert api.job(api.scene(), gpus=3)["gpus"] == 3
+        assert api.job(api.scene(), preset="standard")["gpus"] == 1
 
 
 def test_corrections_are_the_one_long_setting_and_come_back_as_they_were(api: Api, scene: str):

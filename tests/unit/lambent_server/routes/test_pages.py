@@ -1,6 +1,9 @@
 """The built pages: which file an address names, and the headers it is sent with."""
 
+import base64
+import hashlib
 import os
+import re
 from pathlib import Path
 
 import lambent_pages
@@ -84,6 +87,18 @@ def test_pages_that_are_not_there_are_explained(folder: Path):
     assert b"make pages" in page.content
     assert b"<script" not in page.content
     assert page.headers["cache-control"] == "no-store"
+
+
+@pytest.mark.parametrize("make", [lambent_pages.not_found, lambent_pages.not_built])
+def test_the_policy_of_a_page_without_the_build_allows_its_own_style_and_nothing_else(make):
+    page = make()
+    [style] = re.findall(rb"<style>(.*?)</style>", page.content, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(style).digest()).decode()
+    policy = page.headers["content-security-policy"]
+    assert f"style-src 'sha256-{digest}';" in policy
+    assert "unsafe" not in policy
+    # Attributes are not covered by the hash.
+    assert b"style=" not in page.content
 
 
 def test_a_compressed_copy_is_found_where_the_browser_takes_it(folder: Path):

@@ -69,7 +69,7 @@ def test_a_batch_is_split_over_the_slots(api: Api, sky: str):
     assert batch in expect(api.get("/v1/batches"), 200)["items"]
     jobs = [expect(api.get(f"/v1/jobs/{job_id}"), 200) for job_id in batch["job_ids"]]
     assert {(job["kind"], job["batch_id"], job["gpus"]) for job in jobs} == {("batch", batch["id"], 0)}
-    assert expect(api.get(f"/v1/batches/{batch['id']}/artifacts"), 200) == {"items": []}
+    assert expect(api.get(f"/v1/batches/{batch['id']}/artifacts"), 200) == {"items": [], "next_cursor": None}
     one = expect(api.post("/v1/batches", json=batch_body(sky, shards=1)), 202)
     assert len(one["job_ids"]) == 1
     few = batch_body(sky, shards=64, cameras=[{"turntable": 1}], assets=[{"bundle_id": "bundle_x"}])
@@ -90,7 +90,7 @@ def test_a_render_is_one_job(api: Api, sky: str):
     assert (job["kind"], job["state"], job["batch_id"]) == ("render", "queued", None)
     found = expect(api.get("/v1/jobs", params={"label": "shop=spring"}), 200)["items"]
     assert [each["id"] for each in found] == [job["id"]]
-    assert expect(api.get(f"/v1/jobs/{job['id']}/artifacts"), 200) == {"items": []}
+    assert expect(api.get(f"/v1/jobs/{job['id']}/artifacts"), 200) == {"items": [], "next_cursor": None}
     expect(api.post(f"/v1/jobs/{job['id']}:cancel"), 202)
     again = expect(api.post(f"/v1/jobs/{job['id']}:retry"), 202)
     assert (again["kind"], again["state"]) == ("render", "queued")

@@ -29,7 +29,7 @@ def test_an_upload_sends_only_what_is_missing_and_ends_with_a_commit(api: Api):
     files = {"transforms_train.json": b"one", "train/r_0.png": b"two", "again.png": b"two"}
     scene_id = new_scene(api)
     plan = expect(api.post(f"/v1/scenes/{scene_id}/files:plan", json=plan_of(files)), 200)
-    assert plan == {"missing": sorted({sha256(b"one"), sha256(b"two")}), "unsupported": []}
+    assert plan == {"missing": sorted({sha256(b"one"), sha256(b"two")}), "unsupported": [], "uploads": []}
     expect(api.put(f"/v1/scenes/{scene_id}/files/{sha256(b'one')}", content=b"one"), 204)
     problem = expect_problem(api.post(f"/v1/scenes/{scene_id}:commit"), 409, "files_missing")
     assert [each["pointer"] for each in problem["errors"]] == ["#/files/again.png", "#/files/train/r_0.png"]

@@ -156,7 +156,7 @@ def test_photographs_that_are_only_prepared_are_trained_with_the_options_preset_
     scene, run = write_tensoir(tmp_path / "scene"), tmp_path / "run"
     keep_run(run, preparation_of(scene, run), "cpu")
     begun = []
-    monkeypatch.setattr(pipeline, "run_pipeline", lambda spec, *rest: begun.append(spec))
+    monkeypatch.setattr(pipeline, "run_pipeline", lambda spec, *rest, **options: begun.append(spec))
     options = ("--preset", "quick", "--set", "stage_one.num_steps=7")
     result = call(cli.train, scene, "-o", run, "--resume", "--json", *options)
     assert result.exit_code == 0, result.output

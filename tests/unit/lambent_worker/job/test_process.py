@@ -16,6 +16,7 @@ from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.files import file_sha256
 from lambent_worker.job import process
 from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError
+from lambent_worker.job.order import Order
 from lambent_worker.job.process import describe_failure, fetch_scene, restore_checkpoints
 from lambent_worker.job.server_reporter import MAX_PREVIEW_BYTES, ServerReporter, media_type
 from lambent_worker.run import pipeline
@@ -215,6 +216,28 @@ def test_every_kind_of_failure_has_its_cause(error: Exception, cause: str, code:
     assert worker_pb2.FailCause.Name(request.cause) == f"FAIL_CAUSE_{cause}"
     assert request.code == code
     assert request.message
+
+
+@pytest.mark.parametrize(
+    ("device", "gpus", "variable", "num_ranks"),
+    [("cuda", 4, "2", 4), ("cuda", 1, "2", 1), ("cpu", 0, "", 1), ("cpu", 0, "2", 2)],
+)
+def test_a_training_is_divided_among_the_gpus_of_the_job(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: str, gpus: int, variable: str, num_ranks: int
+):
+    asked = []
+    monkeypatch.setattr(pipeline, "run_pipeline", lambda *_, **named: asked.append(named["num_ranks"]))
+    monkeypatch.setenv("LAMBENT_RANKS", variable)
+    order = Order(
+        spec=job_pb2.JobSpec(preset="tiny", gpus=gpus),
+        scene_dir=tmp_path,
+        run_dir=tmp_path,
+        device=device,
+        adjustments=worker_pb2.Adjustments(),
+        reporter=RecordingReporter(),
+    )
+    process.train(order)
+    assert asked == [num_ranks]
 
 
 def test_files_have_the_media_type_of_their_name():

@@ -4,12 +4,127 @@ import json
 import os
 import shutil
 import signal
+import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
+from lambent_proto.v1 import worker_pb2
+from lambent_server.settings import Settings
+from lambent_worker import __main__ as program
 from lambent_worker.job import supervisor
+from lambent_worker.job.connection import Identity
 from lambent_worker.job.exit_codes import EXIT_UNREACHABLE
+
+
+class FakeConnection:
+    """Answers as a test says, and notes what it is told."""
+
+    def __init__(self, identity: Identity, answer: Callable[[str], Any]) -> None:
+        self.identity = identity
+        self.ending = False
+        self.learnt: list[list[str]] = []
+        self.failures: list[Any] = []
+        self.stub = SimpleNamespace(
+            Register="Register",
+            Heartbeat="Heartbeat",
+            Fail="Fail",
+            learn=lambda servers: self.learnt.append(list(servers)),
+        )
+        self._answer = answer
+
+    def once(self, method: str, _request: Any) -> Any:
+        return self._answer(method)
+
+    def call(self, _method: str, request: Any) -> None:
+        self.failures.append(request)
+
+    def close(self) -> None:
+        pass
+
+
+def supervised(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    code: str,
+    answer: Callable[[str], Any],
+    **identity: Any,
+) -> tuple[int, FakeConnection]:
+    """Watch a program with a server that answers so; return the exit code, and the connection."""
+    work_dir = tmp_path / "job_x" / "run-1"
+    work_dir.mkdir(parents=True)
+    run = {"job_id": "job_x", "run": 1, "address": "unix:/s", "token": "x", "work_dir": str(work_dir)}
+    monkeypatch.setenv("LAMBENT_RUN", json.dumps({**run, **identity}))
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(supervisor, "FIRST_HEARTBEAT_S", 0.05)
+    made: list[FakeConnection] = []
+
+    def connect(identity: Identity) -> FakeConnection:
+        made.append(FakeConnection(identity, answer))
+        return made[-1]
+
+    monkeypatch.setattr(supervisor, "Connection", connect)
+    return supervisor.supervise([sys.executable, "-S", "-c", code]), made[0]
+
+
+def register_response(**more: Any) -> worker_pb2.RegisterResponse:
+    return worker_pb2.RegisterResponse(heartbeat_s=0.05, **more)
+
+
+def test_a_pipeline_that_does_not_end_when_told_is_killed_after_the_grace_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Also where no server is left that sees the process."""
+    ready = tmp_path / "ready"
+    deaf = "import pathlib, signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN);"
+    deaf += f"pathlib.Path({str(ready)!r}).touch(); time.sleep(15)"
+    told: list[float] = []
+
+    def answer(method: str) -> Any:
+        if method == "Register":
+            return register_response()
+        if ready.exists():
+            told.append(time.monotonic())
+        return worker_pb2.HeartbeatResponse(stop=ready.exists())
+
+    code, connection = supervised(tmp_path, monkeypatch, deaf, answer, stop_grace_s=0.4)
+    assert 0.4 <= time.monotonic() - told[0] < 10.0
+    # It is told that it has to end as long as it lives.
+    assert len(told) > 2
+    (failure,) = connection.failures
+    assert (code, failure.cause, connection.ending) == (0, worker_pb2.FAIL_CAUSE_KILLED, True)
+
+
+def test_a_run_learns_of_other_servers_as_soon_as_it_registers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def answer(method: str) -> Any:
+        if method == "Register":
+            return register_response(servers=["unix:/s", "tls:there:1"])
+        return worker_pb2.HeartbeatResponse()
+
+    _, connection = supervised(tmp_path, monkeypatch, "import time; time.sleep(0.3)", answer)
+    assert connection.learnt[0] == ["unix:/s", "tls:there:1"]
+
+
+def test_the_time_without_a_server_begins_anew_with_every_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    calls: list[str] = []
+
+    def answer(method: str) -> Any:
+        calls.append(method)
+        # Every other call finds nobody.
+        return register_response() if len(calls) % 2 else None
+
+    work = "import time; time.sleep(1.2)"
+    code, _ = supervised(tmp_path, monkeypatch, work, answer, give_up_after_s=0.6)
+    assert code == 0
+    assert len(calls) > 10
 
 
 @pytest.mark.parametrize(
@@ -50,3 +165,16 @@ def test_the_run_process_is_told_whose_child_it_is(monkeypatch):
     with pytest.raises(OSError, match="environment"):
         supervisor.supervise([sys.executable])
     assert started[0]["LAMBENT_PARENT_PID"] == str(os.getpid())
+
+
+def test_neither_part_of_a_run_looks_for_modules_in_the_working_directory(tmp_path, monkeypatch):
+    started = []
+    monkeypatch.setattr(program, "supervise", lambda command: started.append(command) or 0)
+    assert program.main(["run"]) == 0
+    (tmp_path / "lambent_worker").mkdir()
+    (tmp_path / "lambent_worker" / "__init__.py").write_text("print('foreign', flush=True)")
+    for command in (started[0], Settings().run_command):
+        # Without its last word it tells how it is used.
+        done = subprocess.run(command[:-1], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert done.stderr.startswith("usage:")

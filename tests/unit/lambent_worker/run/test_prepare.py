@@ -1,6 +1,7 @@
 """The folder and the device of a run are there or refused with what to do; a trained run has a bundle."""
 
 import pytest
+import torch
 from flashcache.config import with_overrides
 from flashcache.errors import ConfigError
 from lambent_worker.errors import UsageError
@@ -45,6 +46,18 @@ def test_a_run_has_a_device_and_another_can_be_chosen(tmp_path):
         with pytest.raises(UsageError, match=r"device\.not_found.*cuda:99"):
             choose(tmp_path / "run")
         assert choose(tmp_path / "run", "cpu") == "cpu"
+
+
+def test_ranks_need_a_gpu_each_from_the_first_one_on(tmp_path, monkeypatch):
+    assert device_for(tmp_path / "run", "cpu", 8) == "cpu"
+    with pytest.raises(UsageError, match=r"device\.not_found"):
+        device_for(tmp_path / "run", "cuda", 8)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    assert device_for(tmp_path / "run", "cuda", 2) == "cuda"
+    with pytest.raises(UsageError, match=r"device\.not_found.*cuda:2"):
+        device_for(tmp_path / "run", "cuda", 3)
+    with pytest.raises(UsageError, match=r"device\.of_ranks.*cuda:1"):
+        device_for(tmp_path / "run", "cuda:1", 2)
 
 
 def finished_run(tmp_path):

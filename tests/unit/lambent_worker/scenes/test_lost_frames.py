@@ -79,7 +79,7 @@ def test_a_run_describes_the_scene_without_what_the_check_left_out(tmp_path):
 
 def test_a_picture_that_brought_the_reader_down_is_left_out_too(tmp_path):
     folder = write_blender(tmp_path)
-    inspection = inspect_files(folder, skip=frozenset({"train/r_2.png"}))
+    inspection = inspect_files(folder, skip={"train/r_2.png": "scene.image_too_large"})
     assert inspection.report.usable
     assert inspection.left_out == ("train/r_2.png",)
     (note,) = (f for f in inspection.report.findings if f.code == "scene.pictures_left_out")

@@ -1,0 +1,326 @@
+"""The Helm chart without a cluster: Helm's check, golden files, Kubernetes' schemas, and what pods may do.
+
+UPDATE_GOLDENS=1 writes the golden files; look at what has changed before it is committed. RayCluster,
+ServiceMonitor and PrometheusRule are no kinds of Kubernetes: they are compared with reduced schemas of ours,
+which know the fields that the chart uses and nothing else.
+"""
+
+import json
+import os
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import kubernetes_validate
+import pytest
+import yaml
+from lambent.cli.app import build
+from lambent_server.settings import Settings
+from support.deployed import (
+    CHART,
+    END_S,
+    ROOT,
+    VALUES,
+    container_command,
+    helm,
+    render,
+    rendered,
+    rest_after_runs,
+)
+
+GOLDEN = ROOT / "tests" / "golden" / "helm"
+ALL = sorted(path.stem for path in VALUES.glob("*.yaml"))
+CUSTOM = json.loads((ROOT / "tests" / "support" / "custom_resources.json").read_text(encoding="utf-8"))
+# The oldest version that Chart.yaml allows and the newest one that is known.
+KUBERNETES = ("1.28", "1.37")
+
+
+@pytest.fixture(scope="module", params=ALL)
+def objects(request: pytest.FixtureRequest) -> list[dict[str, Any]]:
+    return rendered(request.param)
+
+
+def pod_specs(objects: list[dict[str, Any]]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield name and specification of the pods of Deployments and Ray clusters."""
+    for each in objects:
+        if each["kind"] == "Deployment":
+            yield each["metadata"]["name"], each["spec"]["template"]["spec"]
+        if each["kind"] == "RayCluster":
+            yield "head", each["spec"]["headGroupSpec"]["template"]["spec"]
+            for group in each["spec"]["workerGroupSpecs"]:
+                yield group["groupName"], group["template"]["spec"]
+
+
+def ours(objects: list[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Yield the pod and the container of every Deployment."""
+    for each in objects:
+        if each["kind"] == "Deployment":
+            pod = each["spec"]["template"]
+            (container,) = pod["spec"]["containers"]
+            yield pod, container
+
+
+@pytest.mark.parametrize("values", ALL)
+def test_helm_finds_nothing_wrong(values: str):
+    command = [
+        str(helm()),
+        "lint",
+        str(CHART),
+        "--strict",
+        "--quiet",
+        "--values",
+        str(VALUES / f"{values}.yaml"),
+    ]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stdout + found.stderr
+
+
+@pytest.mark.parametrize("values", ALL)
+def test_the_chart_makes_the_golden_file(values: str):
+    text = render(values).stdout
+    path = GOLDEN / f"{values}.yaml"
+    if os.environ.get("UPDATE_GOLDENS"):
+        path.write_text(text, encoding="utf-8")
+    assert text == path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("version", KUBERNETES)
+def test_kubernetes_knows_every_field(objects: list[dict[str, Any]], version: str):
+    for each in objects:
+        if each["kind"] not in CUSTOM:
+            kubernetes_validate.validate(each, version, strict=True)
+
+
+def test_an_unknown_field_would_be_noticed():
+    found = next(each for each in rendered("small") if each["kind"] == "Deployment")
+    found["spec"]["template"]["spec"]["containers"][0]["enviroment"] = []
+    with pytest.raises(kubernetes_validate.ValidationError):
+        kubernetes_validate.validate(found, KUBERNETES[1], strict=True)
+
+
+def test_custom_resources_have_the_fields_that_our_schemas_know(objects: list[dict[str, Any]]):
+    for each in objects:
+        if each["kind"] in CUSTOM:
+            schema = CUSTOM[each["kind"]]
+            assert each["apiVersion"] == schema["apiVersion"]
+            jsonschema.validate(each["spec"], schema["spec"])
+    # The pods in a Ray cluster are Kubernetes' own.
+    for name, spec in pod_specs(objects):
+        pod = {"apiVersion": "v1", "kind": "Pod", "metadata": {"name": name}, "spec": spec}
+        kubernetes_validate.validate(pod, KUBERNETES[1], strict=True)
+
+
+def test_a_server_is_not_killed_before_its_runs_have_had_their_time(objects: list[dict[str, Any]]):
+    for pod, container in ours(objects):
+        environment = container_command(container).environment
+        grace_s = pod["spec"]["terminationGracePeriodSeconds"]
+        assert rest_after_runs(grace_s, environment) >= END_S
+        if environment["LAMBENT_LOCAL_SLOTS"] != "0":
+            assert environment["LAMBENT_STOP_RUNS_S"] == "240"
+
+
+def test_workers_get_no_secret_that_only_servers_need():
+    """Runs decode what strangers upload, as the user of their worker."""
+    found = {
+        each["metadata"]["name"]: each for each in rendered("everything") if each["kind"] == "Deployment"
+    }
+    mounted = {
+        name: {volume["name"] for volume in each["spec"]["template"]["spec"]["volumes"]}
+        for name, each in found.items()
+    }
+    only_servers = {"worker-link", "oidc", "ray"}
+    workers = {name: volumes for name, volumes in mounted.items() if "worker" in name}
+    assert workers
+    assert all(not volumes & only_servers for volumes in workers.values())
+    assert any(only_servers <= volumes for name, volumes in mounted.items() if name not in workers)
+
+
+def test_the_values_show_every_part():
+    kinds = {each["kind"] for each in rendered("everything")}
+    assert kinds == {
+        "ConfigMap",
+        "Deployment",
+        "Ingress",
+        "NetworkPolicy",
+        "PodDisruptionBudget",
+        "PrometheusRule",
+        "RayCluster",
+        "Service",
+        "ServiceAccount",
+        "ServiceMonitor",
+    }
+
+
+@pytest.mark.parametrize(
+    ("wrong", "complaint"),
+    [
+        ({"server": {"replicas": 1}}, "server.replicas"),
+        ({"server": {"replica": 3}}, "replica"),
+        ({"server": {"environment": {"PATH": "/"}}}, "environment"),
+        ({"database": {"host": ""}}, "database.host"),
+        ({"database": {"existingSecret": ""}}, "database.existingSecret"),
+        ({"database": {"password": "word"}}, "password"),
+        ({"store": {"url": "https://bucket"}}, "store.url"),
+        ({"store": {"existingClaim": ""}}, "store.existingClaim"),
+        ({"store": {"url": "s3://bucket"}}, "exclude each other"),
+        ({"workers": [{"name": "cpu"}]}, "replicas"),
+        ({"ingress": {"enabled": True}}, "ingress.host"),
+        ({"monitoring": {"serviceMonitor": {"enabled": True}}}, "keySecret"),
+        ({"ray": {"enabled": True}}, "ray.authSecret"),
+        ({"ray": {"address": "http://ray"}}, "ray.address"),
+        ({"oidc": {"issuer": "https://id.example"}}, "oidc.clientId"),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(wrong: dict[str, Any], complaint: str, tmp_path: Path):
+    path = tmp_path / "wrong.yaml"
+    path.write_text(yaml.safe_dump(wrong))
+    found = render("small", "--values", str(path), check=False)
+    assert found.returncode != 0
+    assert complaint in found.stderr
+
+
+def test_pods_may_do_nothing_that_they_need_not(objects: list[dict[str, Any]]):
+    for name, spec in pod_specs(objects):
+        may_ask_kubernetes = name == "head" and any(
+            each["kind"] == "RayCluster" and each["spec"]["enableInTreeAutoscaling"] for each in objects
+        )
+        assert spec["automountServiceAccountToken"] is may_ask_kubernetes
+        assert spec["enableServiceLinks"] is False
+        assert spec["securityContext"]["runAsNonRoot"] is True
+        assert spec["securityContext"]["runAsUser"] != 0
+        assert spec["securityContext"]["seccompProfile"] == {"type": "RuntimeDefault"}
+        assert not set(spec) & {"hostNetwork", "hostPID", "hostIPC"}
+        assert not any("hostPath" in volume for volume in spec["volumes"])
+        for container in spec["containers"]:
+            assert container["securityContext"] == {
+                "allowPrivilegeEscalation": False,
+                "readOnlyRootFilesystem": True,
+                "capabilities": {"drop": ["ALL"]},
+            }
+            assert container["resources"]["requests"]["memory"]
+
+
+def test_pods_mount_what_they_have_and_name_their_ports(objects: list[dict[str, Any]]):
+    for _, spec in pod_specs(objects):
+        volumes = [volume["name"] for volume in spec["volumes"]]
+        for container in spec["containers"]:
+            assert {mount["name"] for mount in container["volumeMounts"]} == set(volumes)
+            ports = {port["name"] for port in container["ports"]}
+            for probe in ("startupProbe", "livenessProbe", "readinessProbe"):
+                if probe in container:
+                    found = container[probe].get("httpGet") or container[probe]["tcpSocket"]
+                    assert found["port"] in ports
+
+
+def test_services_and_policies_select_pods_that_exist_by_ports_that_they_have(objects: list[dict[str, Any]]):
+    pods = list(ours(objects))
+    for each in objects:
+        if each["kind"] == "Service":
+            wanted = each["spec"]["selector"].items()
+            chosen = [container for pod, container in pods if wanted <= pod["metadata"]["labels"].items()]
+            for port in each["spec"]["ports"]:
+                assert any(port["targetPort"] in {p["name"] for p in c["ports"]} for c in chosen), each
+        if each["kind"] in ("PodDisruptionBudget", "NetworkPolicy"):
+            selector = each["spec"].get("selector") or each["spec"]["podSelector"]
+            wanted = selector["matchLabels"].items()
+            labels = [pod["metadata"]["labels"] for pod, _ in pods]
+            labels += [
+                group["template"]["metadata"]["labels"]
+                for each in objects
+                if each["kind"] == "RayCluster"
+                for group in (each["spec"]["headGroupSpec"], *each["spec"]["workerGroupSpecs"])
+            ]
+            matched = [found for found in labels if wanted <= found.items()]
+            is_of_no_worker = each["metadata"]["name"].endswith("-worker")
+            assert matched or is_of_no_worker
+
+
+@pytest.mark.parametrize(("clients", "open_to"), [([], None), (["web"], {"web", "monitoring"})])
+def test_who_may_only_read_metrics_keeps_no_client_out(
+    clients: list[str], open_to: set[str] | None, tmp_path: Path
+):
+    peers = {name: [{"podSelector": {"matchLabels": {"is": name}}}] for name in (*clients, "monitoring")}
+    given = {"clients": [each for name in clients for each in peers[name]], "monitoring": peers["monitoring"]}
+    path = tmp_path / "values.yaml"
+    path.write_text(yaml.safe_dump({"networkPolicy": given}))
+    policies = {
+        each["metadata"]["name"]: each["spec"]["ingress"]
+        for each in yaml.safe_load_all(render("small", "--values", str(path)).stdout)
+        if each["kind"] == "NetworkPolicy"
+    }
+    (http, link), (metrics,) = policies["lambent-server"], policies["lambent-worker"]
+
+    def names(rule: dict[str, Any]) -> set[str] | None:
+        found = rule.get("from")
+        return found and {each["podSelector"]["matchLabels"]["is"] for each in found}
+
+    assert names(http) == open_to
+    assert names(metrics) == {"monitoring"}
+    assert "from" in link
+
+
+def test_ray_is_closed_to_everybody_else_and_has_a_token():
+    objects = rendered("ray")
+    (policy,) = [
+        each
+        for each in objects
+        if each["kind"] == "NetworkPolicy" and each["metadata"]["name"] == "lambent-ray"
+    ]
+    ((source,),) = [rule["from"] for rule in policy["spec"]["ingress"]]
+    assert set(source) == {"podSelector"}
+    (cluster,) = [each for each in objects if each["kind"] == "RayCluster"]
+    groups = [cluster["spec"]["headGroupSpec"], *cluster["spec"]["workerGroupSpecs"]]
+    for group in groups:
+        environment = {each["name"]: each for each in group["template"]["spec"]["containers"][0]["env"]}
+        assert environment["RAY_AUTH_MODE"]["value"] == "token"
+        assert environment["RAY_AUTH_TOKEN"]["valueFrom"]["secretKeyRef"]["key"] == "auth_token"
+
+
+def test_a_new_server_answers_before_an_old_one_goes(objects: list[dict[str, Any]]):
+    (server,) = [
+        each
+        for each in objects
+        if each["kind"] == "Deployment" and each["metadata"]["name"] == "lambent-server"
+    ]
+    assert server["spec"]["strategy"]["rollingUpdate"] == {"maxUnavailable": 0, "maxSurge": 1}
+    (budget,) = [each for each in objects if each["kind"] == "PodDisruptionBudget"]
+    assert 1 <= budget["spec"]["minAvailable"] < server["spec"]["replicas"]
+
+
+def test_commands_and_variables_are_ones_that_lambent_understands(
+    objects: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    for name in os.environ:
+        if name.startswith("LAMBENT_"):
+            monkeypatch.delenv(name)
+    (tmp_path / "database").mkdir()
+    (tmp_path / "database" / "password").write_text("w/rd")
+    for _, container in ours(objects):
+        command = container_command(container).replaced({"/run/secrets": str(tmp_path)})
+        root = build()
+        context = root.make_context("lambent", command.words[1:])
+        name, subcommand, rest = root.resolve_command(context, [*context._protected_args, *context.args])
+        assert subcommand.make_context(name, rest, parent=context).params["port"] == 8420
+        names = {name for name in command.environment if name.startswith("LAMBENT_")}
+        assert names <= {f"LAMBENT_{field.upper()}" for field in Settings.model_fields}
+        with pytest.MonkeyPatch.context() as patch:
+            for key, value in command.environment.items():
+                patch.setenv(key, value)
+            settings = Settings()
+        assert re.match(r"postgresql\+psycopg://\w+:w%2Frd@[\w.]+:\d+/\w+\?sslmode=", settings.database_url)
+        assert "127.0.0.1" in settings.allowed_hosts
+
+
+def test_rules_and_dashboard_are_the_files_of_the_chart():
+    objects = rendered("everything")
+    (rule,) = [each for each in objects if each["kind"] == "PrometheusRule"]
+    (board,) = [each for each in objects if each["kind"] == "ConfigMap"]
+    base = "https://lambent.example.com/"
+    text = json.dumps(rule["spec"])
+    assert text.count(base) > 10
+    assert json.loads(text.replace(base, "")) == yaml.safe_load((CHART / "files" / "rules.yml").read_text())
+    dashboard = json.loads((CHART / "files" / "dashboard.json").read_text())
+    assert json.loads(board["data"]["lambent.json"]) == dashboard
