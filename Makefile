@@ -13,7 +13,7 @@ export OMP_WAIT_POLICY ?= PASSIVE
 
 SETUP := $(VENV)/.installed $(WEB)/node_modules/.installed
 
-.PHONY: help setup pages wheel demo test test-all test-extras test-programs mutants check fix bench bench-compare bench-quick schema clean
+.PHONY: help setup pages wheel demo test test-all test-extras test-programs chaos soak hostile mutants check fix sbom audit bench bench-compare bench-quick schema clean
 .DEFAULT_GOAL := help
 
 help: ## Show the targets
@@ -64,9 +64,10 @@ demo: $(VENV)/.compiled $(BUILT) ## Train the sample scene on this machine and r
 	$(BIN)/lambent demo $(DEMO_ARGS)
 
 # Two workers on two cores: one thread each. Both begin with a training, and would compile the same code.
+# Without a limit of restarts, pytest waits for ever for the tests of a worker that has crashed.
 test: export OMP_NUM_THREADS ?= 1
 test: $(VENV)/.compiled $(BUILT) ## Run the tests, but for the long ones (at most 15 minutes on two cores)
-	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
+	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0 $(PYTEST_ARGS)
 
 test-all: export LAMBENT_TEST_ALL := 1
 test-all: test ## Run all tests, as CI does (half an hour)
@@ -77,10 +78,46 @@ test-extras: $(VENV)/.installed ## Install the wheel into empty environments wit
 test-programs: $(VENV)/.installed ## Draw our exports with Blender and Mitsuba, and check USDZ by ARKit's rules (2 minutes, and 400 MB the first time)
 	LAMBENT_PROGRAMS=$(abspath build/programs) $(BIN)/pytest -q -s tests/conformance/test_other_programs.py
 
+# CHAOS_ARGS="-k sqlite" runs a part.
+chaos: export LAMBENT_TEST_ALL := 1
+chaos: export LAMBENT_TEST_RAY := 1
+chaos: export LAMBENT_CHAOS_FAULTS ?= 200
+chaos: export LAMBENT_CHAOS_KILLS ?= 200
+chaos: export LAMBENT_CHAOS_SERVER_KILLS ?= 20
+chaos: export LAMBENT_CHAOS_SUBMIT_KILLS ?= 100
+chaos: export LAMBENT_CHAOS_RANK_KILLS ?= 5
+chaos: export LAMBENT_CHAOS_RAY_KILLS ?= 200
+chaos: export LAMBENT_CHAOS_STORE_AWAY_S ?= 120
+chaos: $(VENV)/.compiled ## Kill, stop and cut off everything at random for an hour or two, and check that the promises hold
+	$(BIN)/pytest -q -s -n 0 -p no:cacheprovider --timeout 7200 tests/chaos tests/integration/test_object_store.py tests/integration/test_ranks_of_a_run.py $(CHAOS_ARGS)
+
+# SOAK_ARGS="-k sqlite" runs it on SQLite. A server lives for half an hour, so that growing memory can be seen.
+SOAK_MINUTES ?= 120
+SOAK_ARGS ?= -k "postgresql and not s3"
+
+soak: export LAMBENT_TEST_ALL := 1
+soak: export LAMBENT_CHAOS_FAULTS ?= $(shell expr $(SOAK_MINUTES) \* 3)
+soak: export LAMBENT_CHAOS_PAUSE_S ?= 18
+soak: export LAMBENT_CHAOS_JOB_EVERY_S ?= 6
+soak: export LAMBENT_CHAOS_SERVER_EVERY ?= 90
+soak: $(VENV)/.compiled ## Run ten jobs a minute for two hours with a fault every 20 s, and check promises and memory (SOAK_MINUTES=120)
+	$(BIN)/pytest -q -s -n 0 -p no:cacheprovider --timeout 0 tests/chaos/test_faults_at_random.py $(SOAK_ARGS)
+
+# Files changed at random: how many, and with which seed. Two thousand take about ten minutes on two cores.
+COUNT ?= 20000
+SEED ?= 1
+
+hostile: export LAMBENT_FUZZ_EXAMPLES ?= 50
+hostile: export LAMBENT_FUZZ_SEQUENCES ?= 200
+hostile: export LAMBENT_TIMING_ROUNDS ?= 400
+hostile: $(VENV)/.installed ## Attack the readers of files and the interface at length (COUNT=20000 SEED=1; an hour and more)
+	$(BIN)/python tests/support/mutations.py --count $(COUNT) --seed $(SEED) --keep build/hostile
+	$(BIN)/pytest -q -n 0 tests/hostile tests/contract/test_openapi_fuzz.py tests/contract/test_openapi_steps.py tests/contract/test_tenant_matrix.py
+
 mutants: $(VENV)/.installed ## Make mistakes on purpose and see which test notices each (half an hour; MUTANTS_ARGS="--group server")
 	$(BIN)/python tests/mutants.py $(MUTANTS_ARGS)
 
-CHECKS := check-style check-contracts check-texts check-schemas $(if $(wildcard $(WEB)/package.json),check-web)
+CHECKS := check-style check-contracts check-texts check-dependencies check-schemas $(if $(wildcard $(WEB)/package.json),check-web)
 .PHONY: $(CHECKS)
 
 check: $(CHECKS) ## Check style, import contracts, schemas, links and the web client's types (-k lists all findings)
@@ -98,12 +135,25 @@ check-texts: $(VENV)/.installed
 	$(BIN)/python scripts/check_changelog.py
 	$(BIN)/towncrier build --draft --version next >/dev/null
 
+check-dependencies: $(VENV)/.installed
+	$(BIN)/python scripts/dependencies.py check
+
 check-schemas: setup
 	$(BIN)/python scripts/schema.py --check
-	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker-compose.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker-compose.yml deploy/compose/loki.yml
 
 check-web: setup
 	cd $(WEB) && npm run check
+
+sbom: $(VENV)/.installed ## Write a bill of materials (CycloneDX) of this environment into build/sbom.json, without network
+	$(BIN)/python scripts/dependencies.py sbom build/sbom.json
+
+AUDIT_TOOLS := build/audit-tools
+
+audit: $(VENV)/.installed ## Ask advisory services about every dependency; says what could not be asked (needs a network)
+	$(PYTHON) -m venv $(AUDIT_TOOLS)
+	-$(AUDIT_TOOLS)/bin/pip install -q --disable-pip-version-check pip-audit
+	$(BIN)/python scripts/dependencies.py audit --python $(AUDIT_TOOLS)/bin/python
 
 fix: $(VENV)/.installed ## Format, and fix what can be fixed automatically
 	$(BIN)/ruff check --fix-only .
