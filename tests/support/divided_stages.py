@@ -19,6 +19,8 @@ from support.joint_stage import EVERYTHING
 from support.lit_sphere import lit_domain, lit_sphere
 
 Stage = StageOne | StageTwo
+STEPS = {"carving": ("one", 0), "one": ("one", 6), "two": ("two", 1), "distillation": ("two", 7)}
+"""Steps of all phases: stage and number."""
 SCENE = lit_sphere(num_views=4)
 SOLID = 4.0
 """Added to the density before its activation, so that rays end on something."""
@@ -62,7 +64,9 @@ def config(cells: int = 0, **changes) -> Config:
     )
 
 
-def stage(kind: str, ranks: Ranks | None, settings: dict, *, fixed: bool = True) -> Stage:
+def stage(
+    kind: str, ranks: Ranks | None, settings: dict, device: str = "cpu", *, fixed: bool = True
+) -> Stage:
     """Return stage "one" or "two", past an initial state in which heads give zero."""
     made = config(**settings)
     torch.manual_seed(0)
@@ -72,18 +76,21 @@ def stage(kind: str, ranks: Ranks | None, settings: dict, *, fixed: bool = True)
         for parameter in model.parameters():
             parameter.add_(0.02 * torch.randn(parameter.shape))
         model.nerf.density.head.bias[0] += SOLID
-    pixels = TrainingPixels(SCENE, made.pixels, torch.device("cpu"), model.nerf.occupancy)
+    model = model.to(device)
+    pixels = TrainingPixels(SCENE, made.pixels, torch.device(device), model.nerf.occupancy)
     if kind == "one":
         return StageOne(model, pixels, made.stage_one, seed=0, fixed=fixed, ranks=ranks)
     return StageTwo(model, pixels, made.stage_two, seed=0, fixed=fixed, ranks=ranks)
 
 
-def gradients(ranks: Ranks | None, kind: str, step: int, settings: dict) -> tuple[dict, dict]:
+def gradients(
+    ranks: Ranks | None, kind: str, step: int, settings: dict, device: str = "cpu"
+) -> tuple[dict, dict]:
     """Return the gradients of a step by parameter, and its loss terms with the PSNR."""
-    made = stage(kind, ranks, settings)
+    made = stage(kind, ranks, settings, device)
     made.steps_done = step
     if kind == "one":
-        made.losses.prepare(step, torch.device("cpu"))
+        made.losses.prepare(step, torch.device(device))
     late = step - made.config.num_steps if kind == "two" else -1
     if late >= 0:
         made._begin_distillation()
@@ -92,16 +99,26 @@ def gradients(ranks: Ranks | None, kind: str, step: int, settings: dict) -> tupl
         terms = {name: float(value) for name, value in differentiate().items()}
     optimised = {id(p) for group in made.optimiser.param_groups for p in group["params"]}
     named = made.model.named_parameters()
-    found = {n: p.grad.clone() for n, p in named if id(p) in optimised and p.grad is not None}
+    found = {n: p.grad.cpu().clone() for n, p in named if id(p) in optimised and p.grad is not None}
     return found, terms
 
 
-def trained(ranks: Ranks | None, kind: str, steps: int, settings: dict) -> tuple[dict, list[dict]]:
+def trained(
+    ranks: Ranks | None, kind: str, steps: int, settings: dict, device: str = "cpu"
+) -> tuple[dict, list[dict]]:
     """Return the model's values after some steps, and the loss terms of each with its PSNR."""
-    made = stage(kind, ranks, settings)
+    made = stage(kind, ranks, settings, device)
     records = [made.step().read() for _ in range(steps)]
-    values = {name: value.clone() for name, value in made.model.state_dict().items()}
+    values = {name: value.cpu().clone() for name, value in made.model.state_dict().items()}
     return values, [{**record.terms, "psnr": record.psnr, "skipped": record.skipped} for record in records]
+
+
+def assert_close(found: dict, expected: dict, relative: float) -> None:
+    """Compare tensors by name, relative to the largest magnitude in each."""
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        difference = float((found[name].double() - value.double()).abs().max())
+        assert difference <= relative * float(value.abs().max()) + 1e-9, name
 
 
 def stepped_with_nan(ranks: Ranks, kind: str) -> tuple[int, bool]:

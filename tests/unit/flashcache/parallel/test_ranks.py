@@ -3,7 +3,9 @@
 import pytest
 import torch
 from support.divided_stages import (
+    STEPS,
     agreed,
+    assert_close,
     gradients,
     held_the_same,
     rows,
@@ -15,21 +17,12 @@ from support.two_ranks import two_ranks
 
 # Starts a second process with torch, and compares on models of all losses.
 pytestmark = pytest.mark.slow
-STEPS = {"carving": ("one", 0), "one": ("one", 6), "two": ("two", 1), "distillation": ("two", 7)}
 
 
 @pytest.fixture(scope="module")
 def both():
     with two_ranks() as made:
         yield made.both
-
-
-def assert_close(found: dict, expected: dict, relative: float) -> None:
-    """Compare tensors by name, relative to the largest magnitude in each."""
-    assert found.keys() == expected.keys()
-    for name, value in expected.items():
-        difference = float((found[name].double() - value.double()).abs().max())
-        assert difference <= relative * float(value.abs().max()) + 1e-9, name
 
 
 @pytest.mark.parametrize("cells", [0, 16])
