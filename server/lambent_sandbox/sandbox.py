@@ -27,6 +27,8 @@ RLIMITS, PRIVILEGES, FILES, CALLS = "limits", "privileges", "files", "calls"
 
 EXIT_REFUSED: Final = 3
 """Exit code of a process that was to have all layers, and has not."""
+EXIT_BROKEN: Final = 4
+"""Exit code of a process that cannot load what it reads files with."""
 
 PACKAGES: Final = (
     "lambent_proto",
@@ -37,6 +39,24 @@ PACKAGES: Final = (
     "lambent_worker",
 )
 """What a process that reads pictures may import of ours."""
+
+LIBRARIES: Final = (
+    "cv2",
+    "google.protobuf",
+    "jaxtyping",
+    "jinja2",
+    "numba",
+    "numpy",
+    "OpenEXR",
+    "PIL",
+    "pillow_heif",
+    "pydantic",
+    "rawpy",
+    "scipy",
+    "skimage",
+    "yaml",
+)
+"""What it may import of others, which may be elsewhere than this Python's own libraries."""
 
 NOBODY: Final = 65534
 _MIB = 2**20
@@ -117,13 +137,18 @@ def program_paths() -> list[Path]:
 
 
 def _package_parents() -> list[Path]:
-    """Return the folders that our own packages are imported from."""
+    """Return the folders that our own packages and the libraries are imported from."""
     found = []
-    for name in PACKAGES:
-        spec = importlib.util.find_spec(name)
+    for name in (*PACKAGES, *LIBRARIES):
+        try:
+            spec = importlib.util.find_spec(name)
+        except ModuleNotFoundError:
+            continue
         # A folder that only has the name of a package has no origin.
         if spec is not None and spec.origin is not None:
-            found.append(Path(spec.origin).absolute().parent.parent)
+            path = Path(spec.origin).absolute()
+            package = path if spec.submodule_search_locations is None else path.parent
+            found.append(package.parents[name.count(".")])
     return list(dict.fromkeys(found))
 
 

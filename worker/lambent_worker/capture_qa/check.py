@@ -21,6 +21,7 @@ from google.protobuf import json_format
 from lambent_proto.v1 import capture_pb2, scene_pb2
 from lambent_sandbox.sandbox import (
     AVAILABLE,
+    EXIT_BROKEN,
     EXIT_REFUSED,
     LIMITS,
     REQUIRED,
@@ -55,8 +56,8 @@ def check_capture(
 
     `layout` forces a layout instead of detecting it, `masks` is a folder of masks named like the pictures,
     `cameras` one of cameras that were found for photographs; without, these are looked at one by one. An
-    unknown layout is a `UsageError`, a folder among the files of the program a `WorkerError`. Nothing that a
-    capture holds makes this function raise.
+    unknown layout is a `UsageError`; a folder among the files of the program, and a library that cannot be
+    loaded, are a `WorkerError`. Nothing that a capture holds makes this function raise.
     """
     require_layout(layout)
     _require_apart(folder, masks, cameras)
@@ -175,6 +176,13 @@ def _understand(output: str, folder: Path, code: int) -> tuple[CaptureCheck | No
             if code != EXIT_REFUSED or strictness() != REQUIRED:
                 raise ValueError("a refusal that nobody asked for")
             raise WorkerError("run.sandbox_missing", f"LAMBENT_SANDBOX=required: {json.loads(rest)}")
+        if kind == "broken":
+            if code != EXIT_BROKEN or reading is not None:
+                raise ValueError("an installation that breaks in the middle")
+            raise WorkerError(
+                "run.check_broken",
+                f"captures cannot be checked here, because a library cannot be loaded: {json.loads(rest)}",
+            )
         if kind == "report":
             report = json_format.ParseDict(_object(rest), scene_pb2.SceneReport())
             if len(report.findings) > MAX_FINDINGS:

@@ -2,9 +2,11 @@
 
 Lines are `reading "path"` before each file is decoded; `left_out ["path", ...]`; where the capture can be
 used `figures {CaptureFigures as ProtoJSON}`, `thumbnail {"name", "jpeg"}` for each frame and
-`portrait "jpeg"`; and at the end `report {SceneReport}`.
+`portrait "jpeg"`; and at the end `report {SceneReport}`. Instead of all of them, `refused "why"` where layers
+are missing that have to be there, and `broken "why"` where a library cannot be loaded.
 """
 
+import importlib
 import json
 import sys
 from collections.abc import Mapping
@@ -13,9 +15,12 @@ from typing import Any
 
 from google.protobuf.json_format import MessageToDict
 from lambent_proto.v1 import capture_pb2, scene_pb2
-from lambent_sandbox.sandbox import EXIT_REFUSED, Limits, SandboxError, enter
+from lambent_sandbox.sandbox import EXIT_BROKEN, EXIT_REFUSED, Limits, SandboxError, enter
 
 MAX_OPEN_FILES = 256
+READERS = ("lambent_worker.capture_qa.photograph_check", "lambent_worker.capture_qa.review")
+"""Modules that import everything that looks at files."""
+MAX_REASON_CHARACTERS = 300
 
 
 def main() -> None:
@@ -31,6 +36,14 @@ def main() -> None:
     except SandboxError as error:
         tell("refused", str(error))
         sys.exit(EXIT_REFUSED)
+    try:
+        for name in READERS:
+            importlib.import_module(name)
+    except MemoryError:
+        raise
+    except Exception as error:  # Whatever a library raises that does not find itself.
+        tell("broken", f"{type(error).__name__}: {error}"[:MAX_REASON_CHARACTERS])
+        sys.exit(EXIT_BROKEN)
     check(folder, layout, masks, cameras, order["killers"])
 
 

@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -69,10 +70,34 @@ def test_an_unknown_layout_is_a_usage_error_before_any_child_starts(tmp_path):
 
 
 def test_a_child_without_enough_memory_ends_in_a_finding(tmp_path, monkeypatch):
-    monkeypatch.setattr(check, "MAX_MEMORY_BYTES", 30 * MEGABYTE)
+    hoards = (
+        "import lambent_worker.capture_qa.check_child as c; c.check = lambda *_: bytearray(2**32); c.main()"
+    )
+    monkeypatch.setattr(check, "COMMAND", [sys.executable, "-B", "-c", hoards])
     report = check.check_capture(write_tensoir(tmp_path)).report
     assert [finding.code for finding in report.findings] == ["scene.check_failed"]
     assert not report.usable
+
+
+def test_a_library_that_cannot_be_loaded_is_no_fault_of_the_capture(tmp_path, monkeypatch):
+    monkeypatch.setattr(check, "MAX_MEMORY_BYTES", 30 * MEGABYTE)
+    with pytest.raises(WorkerError, match="a library cannot be loaded: ImportError") as caught:
+        check.check_capture(write_tensoir(tmp_path))
+    assert caught.value.code == "run.check_broken"
+
+
+def test_libraries_may_lie_elsewhere_than_those_of_python(tmp_path):
+    folder = write_tensoir(tmp_path)
+    program = (
+        "import sys; from pathlib import Path; from lambent_worker.capture_qa.check import check_capture; "
+        "print(check_capture(Path(sys.argv[1])).report.usable)"
+    )
+    # As with `pip install --target`: the interpreter itself has none of them, PYTHONPATH has.
+    bare = os.path.realpath(sys.executable)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    command = [bare, "-P", "-s", "-c", program, str(folder)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.stdout == "True\n", done.stderr
 
 
 def saying(lines):
@@ -252,7 +277,16 @@ def test_more_findings_than_a_check_has_are_not_believed(tmp_path, monkeypatch, 
 
 @pytest.mark.parametrize(
     "lines",
-    ["report {\n", "report []\n", "thumbnail 7\n", "figures x\n", "left_out 3\n", "reading {\n", "\xff\0"],
+    [
+        "report {\n",
+        "report []\n",
+        "thumbnail 7\n",
+        "figures x\n",
+        "left_out 3\n",
+        "reading {\n",
+        'broken "everything"\n',
+        "\xff\0",
+    ],
 )
 def test_an_answer_that_no_check_gives_ends_in_a_finding(tmp_path, monkeypatch, lines):
     monkeypatch.setattr(check, "COMMAND", saying('reading "a.png"\n' + lines))
