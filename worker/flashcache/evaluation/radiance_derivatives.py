@@ -17,7 +17,7 @@ from flashcache.evaluation.ambiguity import LinearModel
 from flashcache.geometry.directions import from_frame, tangent_frame
 from flashcache.physical.brdf import Materials, diffuse_brdf_cos, specular_brdf_cos
 from flashcache.physical.incident import RadianceSource, RayLimits, SecondaryRays
-from flashcache.physical.model import Domain
+from flashcache.physical.model import Domain, InverseModel
 
 NUM_DIRECTIONS = 256
 PATCH_ROWS, PATCH_COLUMNS = 6, 12
@@ -39,6 +39,10 @@ class LitSurface(Protocol):
     def domain(self) -> Domain: ...
     def materials(self, positions: Tensor) -> Materials: ...
     def environment(self, directions: Tensor, light_index: Tensor) -> Tensor: ...
+
+
+# Named beside the protocol: from Python 3.12 on, checks of types at run time do not see a module's parts.
+Surface = InverseModel | LitSurface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +100,7 @@ def patch_of(directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
 
 
 @torch.no_grad()
-def linear_model(model: LitSurface, points: SeenPoints, source: RadianceSource, noise: Noise) -> LinearModel:
+def linear_model(model: Surface, points: SeenPoints, source: RadianceSource, noise: Noise) -> LinearModel:
     """Return the derivatives of the radiance that every photograph sees at `points`.
 
     `source` answers what hides the environment and what other surfaces send. Rows are photographs times
@@ -152,7 +156,7 @@ class _Incoming:
         return self.sky + self.near
 
 
-def _incoming(model: LitSurface, points: SeenPoints, source: RadianceSource) -> _Incoming:
+def _incoming(model: Surface, points: SeenPoints, source: RadianceSource) -> _Incoming:
     num_points, limits = len(points.positions), model.limits
     pattern = hemisphere(points.positions)
     count = len(pattern)

@@ -198,6 +198,7 @@ def uncertainty_map(
     model: InverseModel, grid: UncertaintyGrid, camera: Camera, distance: Float[ndarray, "height width 1"]
 ) -> Float32[ndarray, "height width channels"]:
     """Return the grid's values at `distance` along the rays of a camera; zero where the distance is."""
-    directions = camera_rays(model, camera, torch.device("cpu")).directions.numpy()
+    device = next(model.parameters()).device
+    directions = camera_rays(model, camera, device).directions.cpu().numpy()
     positions = camera.position + distance * directions.reshape(camera.height, camera.width, 3)
     return np.where(distance > 0.0, grid.at(positions), 0.0).astype(np.float32)

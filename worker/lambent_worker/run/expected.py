@@ -2,7 +2,7 @@
 
 Seconds are those of an AMD EPYC (Zen 4) of 2026; only their ratios count, because the time to go is scaled by
 the speed that a run has shown so far. The cost of a training step is that of decision 0022: a fixed part, and
-work on rays that processes divide.
+work on rays that processes divide. Steps on a GPU are those of an H100 (docs/benchmarks/on-gpu.md).
 """
 
 from typing import TYPE_CHECKING
@@ -14,16 +14,27 @@ PREPARATION = {"cameras": 90.0, "ingest": 2.0, "masks": 30.0}
 """Seconds of the tasks that depend on the photographs, which are not known yet."""
 BEGINNING_S = 3.0
 """Of a training task: reading pictures, starting processes."""
+COMPILING_S = 12.0
+"""Of the first training task on a GPU: its kernels are compiled."""
+GPU_STEPS = {"cache": (2.2, 88.0), "joint": (2.3, 12.6)}
+"""Milliseconds of a step on a GPU that do not depend on its size, and how many cores it replaces beyond."""
 _MS = 1e-3
 
 
-def expected_seconds(config: "Config | None", cores: int) -> dict[str, float]:
+def expected_seconds(config: "Config | None", cores: int, *, trains_on_gpu: bool = False) -> dict[str, float]:
     """Return the seconds of every task on `cores` cores, by name; without settings, of the preparation."""
     if config is None:
         return PREPARATION
+    training = {"cache": _stage_one(config, cores), "joint": _stage_two(config, cores)}
+    if trains_on_gpu:
+        steps = {"cache": config.stage_one.num_steps, "joint": config.stage_two.num_steps}
+        on_one_core = {"cache": _stage_one(config, 1), "joint": _stage_two(config, 1)}
+        for name, (fixed_ms, as_many_cores) in GPU_STEPS.items():
+            training[name] = _MS * fixed_ms * steps[name] + on_one_core[name] / as_many_cores
+        training["cache"] += COMPILING_S
     return PREPARATION | {
-        "cache": BEGINNING_S + _stage_one(config, cores),
-        "joint": BEGINNING_S + _stage_two(config, cores),
+        "cache": BEGINNING_S + training["cache"],
+        "joint": BEGINNING_S + training["joint"],
         "polish": _polish(cores),
         "evaluate": _evaluation(config, cores),
         "export": _export(config, cores),

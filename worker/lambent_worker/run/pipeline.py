@@ -54,7 +54,7 @@ def run_pipeline(
         hashes = input_hashes(spec)
         drop_unfitting(run_dir, hashes)
         tasks = tuple(name for name in TASKS if name in tasks and name in hashes)
-        expected = expected_seconds(spec.config, cores_in_use() if device == "cpu" else 1)
+        expected = expected_seconds(spec.config, cores_in_use(), trains_on_gpu=device != "cpu")
         total = sum(expected[name] for name in tasks)
         done = {name for name in tasks if done_inputs(run_dir, name) == hashes[name]}
         context = TaskContext(
