@@ -232,12 +232,12 @@ def test_the_log_of_a_run_is_read_through_any_server_also_when_its_own_is_gone(
         assert line in log()
         end.touch()
         other.wait(job)
-        whole = owner.client.get(f"/v1/jobs/{job}/log").text
-        wait_until(lambda: log() == whole)
+        wait_until(lambda: log() == owner.client.get(f"/v1/jobs/{job}/log").text)
         ended = [first.submit(first.scene(), num_steps=1) for _ in range(2)]
         for each in ended:
             first.wait(each)
         time.sleep(1.0)
+        whole = owner.client.get(f"/v1/jobs/{job}/log").text
         owner.kill()
         assert log() == whole
         for each in ended:

@@ -20,6 +20,8 @@ from lambent_worker.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
 from lambent_worker.startup import with_parent
 
 FIRST_HEARTBEAT_S = 1.0
+FENCED_GRACE_S = 1.0
+"""Time for a child to end by itself where the run has ended: it may be the child that has told so."""
 
 
 def supervise(child_command: Sequence[str]) -> int:
@@ -43,6 +45,9 @@ def supervise(child_command: Sequence[str]) -> int:
         _watch(connection, child)
         return _tell(connection, child.returncode, oom_kills)
     except FencedError as error:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            if child.wait(FENCED_GRACE_S) == 0:
+                return 0
         print(f"fenced: {error}", file=sys.stderr, flush=True)
         return EXIT_FENCED
     except UnreachableError as error:

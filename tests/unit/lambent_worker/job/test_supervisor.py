@@ -17,8 +17,8 @@ from lambent_proto.v1 import worker_pb2
 from lambent_server.settings import Settings
 from lambent_worker import __main__ as program
 from lambent_worker.job import supervisor
-from lambent_worker.job.connection import Identity
-from lambent_worker.job.exit_codes import EXIT_UNREACHABLE
+from lambent_worker.job.connection import FencedError, Identity
+from lambent_worker.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
 
 
 class FakeConnection:
@@ -97,6 +97,33 @@ def test_a_pipeline_that_does_not_end_when_told_is_killed_after_the_grace_time(
     assert len(told) > 2
     (failure,) = connection.failures
     assert (code, failure.cause, connection.ending) == (0, worker_pb2.FAIL_CAUSE_KILLED, True)
+
+
+@pytest.mark.parametrize(
+    ("then", "expected", "word"),
+    [
+        ("pass", 0, ""),
+        ("time.sleep(30)", EXIT_FENCED, "fenced: it has ended"),
+        ("raise SystemExit(2)", EXIT_FENCED, "fenced: it has ended"),
+    ],
+    ids=["has succeeded", "goes on", "fails"],
+)
+def test_a_child_that_ends_well_as_its_run_has_ended_is_not_called_fenced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any, then: str, expected: int, word: str
+):
+    """A heartbeat may come between the child's last message and its end."""
+    told = tmp_path / "told"
+
+    def answer(method: str) -> Any:
+        if method == "Register":
+            return register_response()
+        told.touch()
+        raise FencedError("it has ended")
+
+    monkeypatch.setattr(supervisor, "FENCED_GRACE_S", 5.0 if expected == 0 else 0.5)
+    code = f"import os, time\nwhile not os.path.exists({str(told)!r}): time.sleep(0.01)\n{then}"
+    assert supervised(tmp_path, monkeypatch, code, answer)[0] == expected
+    assert capfd.readouterr().err.strip() == word
 
 
 def test_a_run_learns_of_other_servers_as_soon_as_it_registers(
