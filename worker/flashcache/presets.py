@@ -333,7 +333,7 @@ def long() -> Config:
 
 
 def standard() -> Config:
-    """Return the paper's sizes with fewer rays and steps, for one GPU with 24 GB; not run on one yet."""
+    """Return the paper's sizes with fewer rays and steps, for one GPU with 24 GB; not run to its end yet."""
     paper = paper_tensoir()
     sizes = paper_model(output_scale=1.0)
     base = fast()

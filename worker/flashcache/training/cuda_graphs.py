@@ -3,7 +3,7 @@
 A graph repeats the operations of one step on the same tensors. It needs fixed shapes (`flashcache.rows`), and
 what differs from step to step must be on the device before: learning rates and scheduled weights, which are
 filled in, and seeds, which a graph reads from its registered generators. Steps that do other things, other
-phases, have graphs of their own. None of this has run on a GPU; tests have a stand-in for `CudaCapture`.
+phases, have graphs of their own. Tests without a GPU have a stand-in for `CudaCapture`.
 """
 
 from collections import Counter
