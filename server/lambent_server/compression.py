@@ -15,7 +15,6 @@ from sqlalchemy import func, select, update
 from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server import claims
-from lambent_server.clock import now
 from lambent_server.database.schema import bundle_files
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.problems import Problem
@@ -27,8 +26,8 @@ LEVEL = 6
 MOST_SHARE = 0.95
 """A copy that is larger than this share of its file is not kept."""
 TICK_S = 60.0
-RETRY_S = 3600.0
-"""Time after which a file that could not be read is tried again."""
+LOST = -1
+"""In place of a copy's size where a file's bytes are gone; the reconciler forgets it once they are back."""
 _BATCH = 64
 _GZIP = 31
 """Window of 32 KiB, with the header and the checksum of gzip; zlib's default adds its own instead."""
@@ -46,7 +45,6 @@ class Compressor:
         self._leads = leads
         self._stopping = threading.Event()
         self._wake = threading.Event()
-        self._failed: dict[str, float] = {}
         self._thread = threading.Thread(target=self._loop, name="compressor", daemon=True)
         services.wakeups.listen(self._wake.set)
 
@@ -79,10 +77,9 @@ class Compressor:
 
     def turn(self) -> int:
         """Decide about every file of a bundle that is not known yet; return the number of copies made."""
-        self._failed = {sha256: at for sha256, at in self._failed.items() if at > now() - RETRY_S}
         num_copies = 0
-        while due := _due(self._services, self._failed):
-            for sha256, size_bytes in due:
+        while due := _due(self._services):
+            for sha256, size_bytes in due.items():
                 if self._services.free_bytes() < self._services.settings.disk_floor_bytes:
                     return num_copies
                 try:
@@ -90,7 +87,7 @@ class Compressor:
                 except Problem as problem:
                     # The bytes are gone; the reconciler counts them.
                     log.warning("not_compressed", sha256=sha256, code=problem.code)
-                    self._failed[sha256] = now()
+                    _set(self._services, sha256, LOST)
         return num_copies
 
     def _decide(self, sha256: str, size_bytes: int) -> bool:
@@ -124,21 +121,23 @@ class Compressor:
         return int(file.tell())
 
 
-def _due(services: Services, failed: dict[str, float]) -> list[tuple[str, int]]:
-    """Return hash and size of some files of which nothing is known yet."""
+def _due(services: Services) -> dict[str, int]:
+    """Return the sizes of some files of which nothing is known yet, by hash."""
+    # Neither sorted nor grouped: either would read all of them, which may be a million after an upgrade.
     statement = (
-        across_tenants(bundle_files, bundle_files.c.sha256, func.max(bundle_files.c.size_bytes))
-        .where(bundle_files.c.gzip_bytes.is_(None), bundle_files.c.sha256.not_in(failed))
-        .group_by(bundle_files.c.sha256)
+        across_tenants(bundle_files, bundle_files.c.sha256, bundle_files.c.size_bytes)
+        .where(bundle_files.c.gzip_bytes.is_(None))
         .limit(_BATCH)
     )
     with services.database.read() as connection:
-        return [(sha256, int(size)) for sha256, size in connection.execute(statement)]
+        return {sha256: int(size) for sha256, size in connection.execute(statement)}
 
 
 def _known(services: Services, sha256: str) -> int | None:
     """Return what was decided about the same file of another bundle, or None."""
-    statement = select(func.max(bundle_files.c.gzip_bytes)).where(bundle_files.c.sha256 == sha256)
+    statement = select(func.max(bundle_files.c.gzip_bytes)).where(
+        bundle_files.c.sha256 == sha256, bundle_files.c.gzip_bytes >= 0
+    )
     with services.database.read() as connection:
         found = connection.execute(statement).scalar_one()
     return None if found is None else int(found)

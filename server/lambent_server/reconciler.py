@@ -13,6 +13,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server import claims, retention
 from lambent_server.clock import now
+from lambent_server.compression import LOST
 from lambent_server.database.schema import (
     api_keys,
     blobs,
@@ -134,6 +135,7 @@ def reconcile(services: Services) -> int:
     else:
         repair(services, found)
         _reconcile_copies(services, now() - services.settings.orphan_after_s)
+        _compress_again(services, set(found.lost))
         remove_folders(services, now() - services.settings.orphan_after_s)
     if found.num_orphans or found.lost:
         log.warning(
@@ -232,6 +234,24 @@ def _reconcile_copies(services: Services, before: float) -> None:
                 claims.lock(connection, sha256)
                 if connection.execute(_named_copies(sha256)).first() is None:
                     services.store.delete_copy(sha256)
+
+
+def _compress_again(services: Services, lost: set[str]) -> None:
+    """Forget which files could not be compressed because their bytes were gone, where these are back."""
+    column = bundle_files.c.gzip_bytes
+    for prefix in _PREFIXES:
+        condition = and_(
+            bundle_files.c.sha256 >= prefix, bundle_files.c.sha256 < prefix + "g", column == LOST
+        )
+        with services.database.read() as connection:
+            passed_over = connection.execute(
+                across_tenants(bundle_files, bundle_files.c.sha256).where(condition).distinct()
+            )
+            back = [sha256 for sha256 in passed_over.scalars() if sha256 not in lost]
+        for sha256 in back:
+            statement = update(bundle_files).where(bundle_files.c.sha256 == sha256, column == LOST)
+            with services.database.write() as connection:
+                connection.execute(statement.values(gzip_bytes=None))
 
 
 def _copies(services: Services, prefix: str) -> dict[str, int]:

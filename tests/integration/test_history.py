@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from lambent_server.database.schema import jobs, scenes
+from lambent_server import compression
+from lambent_server.database.schema import bundle_files, jobs, scenes
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.housekeeping import sweep
 from lambent_server.reconciler import reconcile
-from sqlalchemy import func, insert
+from sqlalchemy import func, insert, update
 from support.api import expect
 from support.database_work import STEPS_AT_ONCE, Work
 from support.databases import postgresql
@@ -227,3 +228,19 @@ def test_the_folders_of_many_jobs_are_compared_a_few_at_a_time(studios: list[Stu
         reconcile(large.services)
     assert not (runs / "job_gone").exists()
     assert (runs / large.old(100)).exists()
+
+
+def test_the_next_files_to_compress_are_found_without_reading_all_others(studios: list[Studio]):
+    """After an upgrade from a release without compression, nothing is known of any file."""
+    amounts = []
+    for each in studios:
+        for known in (None, 0):
+            with each.services.database.write() as connection:
+                connection.execute(update(bundle_files).values(gzip_bytes=known))
+            if known is None:
+                analyze(each.services.database)
+                with each.work.counted():
+                    assert len(compression._due(each.services)) == 64
+                amounts.append(each.work.amount)
+    few, many = amounts
+    assert many <= 1.3 * few + 1000, (few, many)

@@ -48,8 +48,8 @@ SELECT order_id, tenant_id, kind, kind, [json '{}'], 10, 1, created_at FROM jobs
 INSERT INTO bundles (id, tenant_id, job_id, scene_id, created_at)
 SELECT bundle_id, tenant_id, id, scene_id, finished_at FROM jobs WHERE bundle_id IS NOT NULL;
 
-INSERT INTO bundle_files (bundle_id, path, tenant_id, sha256, size_bytes, media_type)
-SELECT bundle_id, path, tenant_id, [hex], 1e6, 'application/octet-stream'
+INSERT INTO bundle_files (bundle_id, path, tenant_id, sha256, size_bytes, media_type, gzip_bytes)
+SELECT bundle_id, path, tenant_id, [hex], 1e6, 'application/octet-stream', 0
 FROM jobs CROSS JOIN (SELECT 'manifest.json' AS path UNION ALL SELECT 'mesh.glb') AS file
 WHERE bundle_id IS NOT NULL;
 

@@ -315,7 +315,7 @@ bundle_files = Table(
     _text("sha256"),
     Column("size_bytes", Double, nullable=False),
     _text("media_type"),
-    # Size of the compressed copy; 0 if it would save too little, null until that is known.
+    # Size of the compressed copy; 0 if it saves too little, -1 if the file is gone, null if not known yet.
     Column("gzip_bytes", Double),
     PrimaryKeyConstraint("bundle_id", "path"),
     Index(None, "sha256"),

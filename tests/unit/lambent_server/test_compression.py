@@ -140,18 +140,30 @@ def test_old_copies_that_no_row_names_are_removed_and_others_stay(api: Api, tmp_
     assert [path.exists() for path in (named, old, young)] == [True, False, True]
 
 
-def test_a_file_whose_bytes_are_gone_is_passed_over_and_tried_again_later(
-    api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    add_bundle(api, tmp_path, {"lost.bin": PLANES + b"lost", "planes.bin": PLANES})
-    blob = next((api.services.settings.data / "store" / "blobs").rglob(sha256(PLANES + b"lost")))
+def test_a_file_whose_bytes_are_gone_is_passed_over_until_the_reconciler_finds_them(api: Api, tmp_path: Path):
+    lost = PLANES + b"lost"
+    add_bundle(api, tmp_path, {"lost.bin": lost, "planes.bin": PLANES})
+    blob = next((api.services.settings.data / "store" / "blobs").rglob(sha256(lost)))
     blob.rename(tmp_path / "away")
-    compressor = Compressor(api.services, lambda: True)
-    assert compressor.turn() == 1
+    assert compress(api) == 1
+    assert known(api)["lost.bin"] == compression.LOST
+    assert reconcile(api.services) == 1
+    assert compress(api) == 0
     shutil.move(tmp_path / "away", blob)
-    assert compressor.turn() == 0
-    monkeypatch.setattr(compression, "now", lambda: time.time() + compression.RETRY_S + 1)
-    assert compressor.turn() == 1
+    assert compress(api) == 0
+    assert reconcile(api.services) == 0
+    assert compress(api) == 1
+    assert known(api)["lost.bin"] == copy_of(api, lost).stat().st_size
+
+
+def test_a_file_that_was_gone_is_compressed_with_the_next_bundle_that_brings_it(api: Api, tmp_path: Path):
+    add_bundle(api, tmp_path, {"lost.bin": PLANES})
+    next((api.services.settings.data / "store" / "blobs").rglob(sha256(PLANES))).unlink()
+    assert compress(api) == 0
+    add_bundle(api, tmp_path, {"again.bin": PLANES}, bundle_id="bundle_y")
+    assert compress(api) == 1
+    size = copy_of(api, PLANES).stat().st_size
+    assert known(api) | known(api, "bundle_y") == {"lost.bin": size, "again.bin": size}
 
 
 def test_a_full_disk_is_left_alone(tmp_path: Path):
