@@ -43,7 +43,15 @@ ONE = {
         emptiness_points=64,
     ),
 }
-TWO = EVERYTHING | {"num_rays": 32, "num_steps": 6, "fast_by_half": True, "normal_rays": 0.5}
+# Around what an untrained model has, so that both tests of metals say something.
+METALNESS = replace(EVERYTHING["metalness_prior"], variation=(0.0, 0.03), bright_variation=(0.0, 0.05))
+TWO = EVERYTHING | {
+    "num_rays": 32,
+    "num_steps": 6,
+    "fast_by_half": True,
+    "normal_rays": 0.5,
+    "metalness_prior": METALNESS,
+}
 
 
 def config(cells: int = 0, **changes) -> Config:

@@ -97,6 +97,10 @@ def test_a_dead_servers_run_on_this_machine_is_seen(stage: Stage):
     stage.controller.turn()
     assert stage.job(job)["run"] == 1
     stage.executor.gone[7] = None
+    others(stage).leads = False
+    stage.controller.turn()
+    assert stage.job(job)["run"] == 1
+    others(stage).leads = True
     stage.controller.turn()
     assert (stage.job(job)["state"], stage.job(job)["run"]) == ("running", 2)
 

@@ -147,7 +147,11 @@ def test_what_fences_a_run_does_so_wherever_it_is_said(tmp_path: Path):
             beat(connection)
 
 
-def test_a_stranger_at_an_address_of_before_does_not_end_a_run(tmp_path: Path):
+def test_a_stranger_at_an_address_of_before_does_not_end_a_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    # The stranger is asked first.
+    monkeypatch.setattr(servers.random, "shuffle", lambda _: None)
     home, stranger, other = sockets(tmp_path, "home", "a_stranger", "other")
     with (
         running(home, stranger, other) as (first, second, third),
