@@ -41,7 +41,9 @@ def serve(
     insecure: Annotated[
         bool, typer.Option("--insecure", help="Allow an address that other machines can reach, without TLS.")
     ] = False,
-    executor: Annotated[str | None, typer.Option(help="Where jobs run: local, or ray for a Ray cluster.")] = None,
+    executor: Annotated[
+        str | None, typer.Option(help="Where jobs run: local, or ray for a Ray cluster.")
+    ] = None,
     database: DatabaseOption = None,
     store: Annotated[
         str | None, typer.Option(help="URL of the blob store; a folder in --data by default.")

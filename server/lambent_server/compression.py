@@ -19,6 +19,7 @@ from lambent_server.database.schema import bundle_files
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.problems import Problem
 from lambent_server.services import Services
+from lambent_server.store import LOST
 
 log = structlog.get_logger()
 
@@ -26,8 +27,6 @@ LEVEL = 6
 MOST_SHARE = 0.95
 """A copy that is larger than this share of its file is not kept."""
 TICK_S = 60.0
-LOST = -1
-"""In place of a copy's size where a file's bytes are gone; the reconciler forgets it once they are back."""
 _BATCH = 64
 _GZIP = 31
 """Window of 32 KiB, with the header and the checksum of gzip; zlib's default adds its own instead."""

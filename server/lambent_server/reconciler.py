@@ -13,7 +13,6 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server import claims, retention
 from lambent_server.clock import now
-from lambent_server.compression import LOST
 from lambent_server.database.schema import (
     api_keys,
     blobs,
@@ -26,7 +25,7 @@ from lambent_server.direct import FOLDER
 from lambent_server.garbage import discard
 from lambent_server.housekeeping import REFERENCES
 from lambent_server.services import Services
-from lambent_server.store import GZIP
+from lambent_server.store import GZIP, LOST
 
 log = structlog.get_logger()
 

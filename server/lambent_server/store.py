@@ -43,6 +43,8 @@ class Admission(Protocol):
 BLOBS = "blobs"
 GZIP = "gzip"
 """Folders of the store: blobs, and compressed copies of some of them under the blob's name."""
+LOST = -1
+"""In place of a copy's size where the blob's bytes are gone; the reconciler forgets it once they are back."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from lambent_server.compression import Compressor
 from lambent_server.database.schema import bundle_files
 from lambent_server.housekeeping import sweep
 from lambent_server.reconciler import reconcile
+from lambent_server.store import LOST
 from sqlalchemy import select
 from support.api import STRANGER, Api, expect, opened, sha256
 from support.live_server import wait_until
@@ -146,7 +147,7 @@ def test_a_file_whose_bytes_are_gone_is_passed_over_until_the_reconciler_finds_t
     blob = next((api.services.settings.data / "store" / "blobs").rglob(sha256(lost)))
     blob.rename(tmp_path / "away")
     assert compress(api) == 1
-    assert known(api)["lost.bin"] == compression.LOST
+    assert known(api)["lost.bin"] == LOST
     assert reconcile(api.services) == 1
     assert compress(api) == 0
     shutil.move(tmp_path / "away", blob)
