@@ -15,7 +15,10 @@ from urllib.parse import urlsplit
 
 MAX_COPY_BYTES = 5 * 1024**3
 """Largest object that S3 copies in one request."""
-_UNAVAILABLE = frozenset({"SlowDown", "ServiceUnavailable", "InternalError", "RequestTimeout", "503", "500"})
+# The bucket was there when the server started; a store that is coming back may not know it for a moment.
+_UNAVAILABLE = frozenset(
+    {"SlowDown", "ServiceUnavailable", "InternalError", "RequestTimeout", "NoSuchBucket", "503", "500"}
+)
 _MISSING = frozenset({"NoSuchKey", "NoSuchUpload", "404", "NotFound"})
 _SKEWED = frozenset({"RequestTimeTooSkewed", "RequestExpired"})
 _CREDENTIALS = frozenset({"InvalidAccessKeyId", "SignatureDoesNotMatch", "InvalidToken", "ExpiredToken"})

@@ -138,3 +138,17 @@ def test_a_server_that_is_away_is_unavailable_and_not_empty(server: S3Server, bu
     finally:
         server.start()
     assert bucket.head("uploads/a") is None
+
+
+def test_a_bucket_that_is_gone_while_the_server_runs_is_waited_for(server: S3Server, bucket: S3Bucket):
+    """A store that is coming back may say so for a moment."""
+    gone = S3Bucket(options(server, url="s3://nowhere"))
+    url, headers = bucket.sign_put("uploads/e", sha256(b"1"), 1, 60)
+    send(url, b"1", headers)
+    version = bucket.head("uploads/e")
+    assert version is not None
+    with pytest.raises(StoreUnavailableError, match="NoSuchBucket"):
+        gone.copy("uploads/e", version, "blobs/e")
+    with pytest.raises(StoreUnavailableError, match="NoSuchBucket"):
+        b"".join(gone.read("uploads/e", version))
+    bucket.delete("uploads/e")
