@@ -60,7 +60,7 @@ $(VENV)/.compiled: $(VENV)/.installed scripts/compile_kernels.py
 	$(BIN)/python scripts/compile_kernels.py
 	touch $@
 
-demo: $(VENV)/.compiled $(BUILT) ## Train the sample scene on this machine and relight it (2 to 5 minutes on two cores; DEMO_ARGS="--preset quick" for a first look)
+demo: $(VENV)/.compiled $(BUILT) ## Train the sample scene on this machine and relight it (3 to 6 minutes on two cores; DEMO_ARGS="--preset quick" for a first look)
 	$(BIN)/lambent demo $(DEMO_ARGS)
 
 # Two workers on two cores: one thread each. Both begin with a training, and would compile the same code.
