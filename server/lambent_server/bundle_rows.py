@@ -56,7 +56,7 @@ def show_all(connection: Connection, tenant: Tenant, found: Sequence[Any]) -> li
     scene_ids = {row["scene_id"] for row in found}
     named = rows(tenant, scenes, scenes.c.id, scenes.c.name).where(scenes.c.id.in_(scene_ids))
     names = dict(iter(connection.execute(named)))
-    shown = pictures(connection, tenant, identifiers, SMALL_FIRST)
+    shown = thumbnail_urls(connection, tenant, identifiers)
     return [
         Bundle(
             id=row["id"],
@@ -66,11 +66,17 @@ def show_all(connection: Connection, tenant: Tenant, found: Sequence[Any]) -> li
             created_at=rfc3339(row["created_at"]),
             num_files=sizes.get(row["id"], (0, 0.0))[0],
             size_bytes=sizes.get(row["id"], (0, 0.0))[1],
-            thumbnail_url=_file_url(row["id"], shown[row["id"]]["path"]) if row["id"] in shown else None,
+            thumbnail_url=shown.get(row["id"]),
             labels=row["labels"] or {},
         )
         for row in found
     ]
+
+
+def thumbnail_urls(connection: Connection, tenant: Tenant, identifiers: Sequence[str]) -> dict[str, str]:
+    """Return the address of the picture for a card of each bundle that has one."""
+    found = pictures(connection, tenant, identifiers, SMALL_FIRST)
+    return {bundle_id: _file_url(bundle_id, file["path"]) for bundle_id, file in found.items()}
 
 
 def pictures(

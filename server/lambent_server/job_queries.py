@@ -8,7 +8,7 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from lambent_server import bake_rows, job_counts, label_rows
+from lambent_server import bake_rows, bundle_rows, job_counts, label_rows
 from lambent_server.accounts import quotas
 from lambent_server.change_messages import JobChange
 from lambent_server.clock import new_id, now, rfc3339
@@ -81,15 +81,17 @@ def show(connection: Connection, tenant: Tenant, row: Any) -> Job:
 
 
 def show_all(connection: Connection, tenant: Tenant, found: Sequence[Any]) -> list[Job]:
-    """Return jobs in the form of the REST interface; their scenes are looked up together."""
+    """Return jobs in the form of the REST interface; their scenes and bundles are looked up together."""
     wanted = {row["scene_id"] for row in found}
     columns = (scenes.c.id, scenes.c.name, scenes.c.thumbnail_sha256)
     known = connection.execute(rows(tenant, scenes, *columns).where(scenes.c.id.in_(wanted))).mappings()
     by_id = {scene["id"]: scene for scene in known}
-    return [_show(row, by_id.get(row["scene_id"])) for row in found]
+    results = [row["bundle_id"] for row in found if row["bundle_id"]]
+    made = bundle_rows.thumbnail_urls(connection, tenant, results) if results else {}
+    return [_show(row, by_id.get(row["scene_id"]), made.get(row["bundle_id"])) for row in found]
 
 
-def _show(row: Any, scene: Any) -> Job:
+def _show(row: Any, scene: Any, result_url: str | None) -> Job:
     return Job(
         **{
             name: row[name]
@@ -113,7 +115,7 @@ def _show(row: Any, scene: Any) -> Job:
         },
         scene_name="" if scene is None else scene["name"],
         batch_id=row["order_id"] if row["kind"] == "batch" else None,
-        thumbnail_url=blob_url(row["preview_sha256"] or (scene and scene["thumbnail_sha256"])),
+        thumbnail_url=result_url or blob_url(row["preview_sha256"] or (scene and scene["thumbnail_sha256"])),
         created_at=rfc3339(row["created_at"]),
         started_at=_time(row["started_at"]),
         finished_at=_time(row["finished_at"]),

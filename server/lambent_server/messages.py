@@ -220,7 +220,7 @@ class Job(Shown):
     batch_id: str | None
     """The batch of which the job renders a part."""
     thumbnail_url: str | None
-    """The newest preview, or the photograph of the scene; null if there is neither."""
+    """The picture of its bundle, or its newest preview, or the photograph of the scene; else null."""
     last_event: int
     webhook: str | None
 

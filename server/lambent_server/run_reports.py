@@ -21,7 +21,7 @@ from lambent_server.job_rows import Job, NewEvent, append_event, owner, set_fiel
 from lambent_server.outcomes import Failure, adjustments_of, fail, lose
 from lambent_server.paths import check_path
 from lambent_server.preparation import drop_superseded, offered_checkpoints, scene_of_checkpoint
-from lambent_server.preview_rows import thin
+from lambent_server.preview_rows import SHEET, thin
 from lambent_server.problems import Problem, invalid
 from lambent_server.provenance import Signer
 from lambent_server.rest_json import enum_text, to_rest
@@ -90,9 +90,10 @@ def store_report(
         if due or stage_ended or progress["stage"] != (job["progress"] or {}).get("stage"):
             values["progress_event_at"] = now()
             append_event(connection, job, NewEvent(type="progress", progress=progress))
-    previews = [event.sha256 for event in report.events if event.type == "preview" and event.sha256]
-    if previews:
-        values["preview_sha256"] = previews[-1]
+    previews = [event for event in report.events if event.type == "preview" and event.sha256]
+    pictures = [event.sha256 for event in previews if event.name != SHEET]
+    if pictures:
+        values["preview_sha256"] = pictures[-1]
     set_fields(connection, job, **values)
     for event in report.events:
         if event.type not in _WORKER_EVENTS:

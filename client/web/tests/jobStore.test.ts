@@ -104,6 +104,20 @@ describe("JobStore", () => {
     expect(store.get("job_a")!.psnr).toHaveLength(1);
   });
 
+  it("keeps the picture of the object when the sheet of the evaluation comes", async () => {
+    const server = new FakeServer();
+    server.add();
+    const store = new JobStore(server);
+    await store.loadHistory("job_a");
+    store.receive(
+      message(server.add({ type: "preview", sha256: "ab", name: "turning_joint", progress: null })),
+    );
+    store.receive(message(server.add({ type: "preview", sha256: "cd", name: "evaluation", progress: null })));
+    await settle();
+    expect(store.get("job_a")!.previews.map((each) => each.sha256)).toEqual(["ab", "cd"]);
+    expect(store.get("job_a")!.job.thumbnail_url).toBe("/v1/blobs/ab");
+  });
+
   it("fetches what the stream has left out", async () => {
     const server = new FakeServer();
     server.add();

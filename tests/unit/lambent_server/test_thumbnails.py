@@ -9,7 +9,9 @@ import pytest
 from lambent_server.database.schema import garbage
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.housekeeping import sweep
-from support.api import expect, sha256
+from lambent_server.job_queries import require_job
+from lambent_server.job_rows import set_fields
+from support.api import TENANT, expect, sha256
 from support.runs import Stage, refused, staged
 from support.server_rows import add_bundle
 
@@ -26,10 +28,10 @@ def scene_of(stage: Stage, job: str) -> dict[str, Any]:
     return expect(stage.api.get(f"/v1/scenes/{stage.job(job)['scene_id']}"), 200)
 
 
-def preview(stage: Stage, job: str, data: bytes, sequence: int) -> str:
+def preview(stage: Stage, job: str, data: bytes, sequence: int, name: str = "a") -> str:
     """Report a preview and return its hash."""
     digest = stage.put(job, data)
-    stage.call("Report", job, sequence=sequence, events=[{"type": "preview", "name": "a", "sha256": digest}])
+    stage.call("Report", job, sequence=sequence, events=[{"type": "preview", "name": name, "sha256": digest}])
     return digest
 
 
@@ -65,6 +67,31 @@ def test_a_scene_shows_the_photograph_of_its_last_check_until_it_is_deleted(stag
     assert is_discarded(stage, second)
     gone = stage.job(job)
     assert (gone["thumbnail_url"], gone["scene_name"]) == (None, "")
+
+
+def test_a_job_shows_the_picture_of_its_bundle_and_never_the_sheet_of_its_evaluation(
+    stage: Stage, tmp_path: Path
+):
+    job = stage.start()
+    turning = preview(stage, job, b"turning", 1, "turning_joint")
+    sheet = preview(stage, job, b"sheet", 2, "evaluation")
+    assert sheet != turning
+    assert stage.job(job)["thumbnail_url"] == f"/v1/blobs/{turning}"
+    bundle = add_bundle(stage.api, tmp_path, {"thumbnail.webp": b"picture"}, bundle_id="bundle_of_a_job")
+    bare = add_bundle(stage.api, tmp_path, {"manifest.json": b"{}"}, bundle_id="bundle_without_pictures")
+    for bundle_id, shown in (
+        (bundle, f"/v1/bundles/{bundle}/files/thumbnail.webp"),
+        (bare, f"/v1/blobs/{turning}"),
+        ("bundle_that_was_deleted", f"/v1/blobs/{turning}"),
+    ):
+        with stage.api.services.database.write() as connection:
+            row = require_job(connection, TENANT, job)
+            set_fields(connection, row, bundle_id=bundle_id)
+        (listed,) = (each for each in stage.api.get("/v1/jobs").json()["items"] if each["id"] == job)
+        assert stage.job(job)["thumbnail_url"] == listed["thumbnail_url"] == shown
+        assert stage.api.get(shown).status_code == 200
+    stage.call("Fail", job, cause="FAIL_CAUSE_BAD_SCENE", code="x", message="x")
+    stage.end(0)
 
 
 def test_a_job_shows_its_newest_preview_and_the_name_of_its_scene(stage: Stage):

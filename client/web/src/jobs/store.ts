@@ -120,7 +120,8 @@ export class JobStore {
       const progress = event.progress ?? record.job.progress;
       const run = event.run || record.job.run;
       record.job = { ...record.job, progress, run, last_event: event.seq };
-      if (event.type === "preview" && event.sha256 !== "") {
+      // The sheet of an evaluation has pictures too small for a card.
+      if (event.type === "preview" && event.sha256 !== "" && event.name !== "evaluation") {
         record.job.thumbnail_url = blobAddress(event.sha256);
       }
     }
