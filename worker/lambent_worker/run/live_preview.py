@@ -5,7 +5,7 @@ Their size is what their share of the time allows: a slow machine makes smaller 
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -37,6 +37,8 @@ STEP_DEG = 15.0
 WIDE_GAP_DEG = 100.0
 """Where photographs leave a gap this wide in the circle, the camera swings instead of going round."""
 _MARGIN = 1.1
+_AXIS_PRIOR = 1e-3
+"""Weight of the middle of the box against that of all cameras."""
 _GROWTH = 1.6
 """At most by which a side grows from one preview to the next: one measured time may be a lucky one."""
 
@@ -56,9 +58,9 @@ class Orbit:
 
     @classmethod
     def around(cls, scene: Scene) -> "Orbit":
-        """Return the orbit of a capture whose object is in the middle of its box."""
+        """Return the orbit of a capture around the point that its photographs show in their middle."""
         cameras = [view.camera for view in scene.train or scene.test]
-        target = (np.array(scene.bounds_min) + np.array(scene.bounds_max)) / 2.0
+        target = seen_middle(cameras, np.array(scene.bounds_min), np.array(scene.bounds_max))
         offsets = np.array([camera.position for camera in cameras]) - target
         level = np.hypot(offsets[:, 0], offsets[:, 1])
         tangents = [0.5 * max(camera.width, camera.height) / camera.focal_x for camera in cameras]
@@ -92,6 +94,24 @@ class Orbit:
             centre_y=0.5 * side,
             camera_to_world=look_at(position.tolist(), self.target),
         )
+
+
+def seen_middle(cameras: Sequence[Camera], low: ndarray, high: ndarray) -> ndarray:
+    """Return the point of the box from `low` to `high` closest to the rays through the middles of all frames.
+
+    Frames that are cut to the object have it in their middle, wherever it is in its box. Along directions in
+    which the rays agree, they do not say how far it is; there it is the middle of the box.
+    """
+    middle = (low + high) / 2.0
+    matrix, moment = _AXIS_PRIOR * np.eye(3), np.zeros(3)
+    for camera in cameras:
+        right = (0.5 * camera.width - camera.centre_x) / camera.focal_x
+        down = (0.5 * camera.height - camera.centre_y) / camera.focal_y
+        ray = camera.camera_to_world[:3, :3] @ np.array([right, -down, -1.0])
+        across = (np.eye(3) - np.outer(ray, ray) / (ray @ ray)) / len(cameras)
+        matrix += across
+        moment += across @ (camera.position - middle)
+    return np.clip(middle + np.linalg.solve(matrix, moment), low, high)
 
 
 def photographed_arc(azimuths_deg: ndarray) -> tuple[float, float] | None:

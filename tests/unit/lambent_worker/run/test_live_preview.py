@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import torch
 from flashcache.data.ray_batches import TrainingPixels
+from flashcache.data.scene import View
 from flashcache.presets import tiny
 from flashcache.training.stage_one import StageOne
+from lambent_relight.cameras import look_at
 from lambent_worker.run.context import TaskContext
 from lambent_worker.run.live_preview import (
     INTERVAL_S,
@@ -18,6 +20,7 @@ from lambent_worker.run.live_preview import (
     LivePreview,
     Orbit,
     photographed_arc,
+    seen_middle,
 )
 from lambent_worker.run.spec import RunSpec
 from lambent_worker.run.tasks.training import drive, new_model, previews_for
@@ -81,6 +84,37 @@ def test_the_camera_goes_once_around_where_photographs_do():
     assert np.linalg.norm(offset) == pytest.approx(orbit.distance)
     assert np.degrees(np.arctan2(offset[1], offset[0])) == pytest.approx(90.0)
     assert -camera.camera_to_world[:3, 2] @ offset == pytest.approx(-orbit.distance)
+
+
+def cut(view: View, left: int, top: int, width: int, height: int) -> View:
+    """Return the view with only this part of its frame, as far as its camera goes."""
+    camera = view.camera
+    moved = {"centre_x": camera.centre_x - left, "centre_y": camera.centre_y - top}
+    return replace(view, camera=replace(camera, width=width, height=height, **moved))
+
+
+def test_the_camera_looks_where_the_middle_of_the_photographs_is():
+    box = np.array(SCENE.bounds_min), np.array(SCENE.bounds_max)
+    assert Orbit.around(SCENE).target == pytest.approx((box[0] + box[1]) / 2.0, abs=1e-6)
+    # Each frame is cut around a point below the middle of the box, as it would be around an object there.
+    point = np.array([0.1, -0.2, -0.4])
+    views = []
+    for view in SCENE.train:
+        camera = view.camera
+        local = camera.camera_to_world[:3, :3].T @ (point - camera.position)
+        column = camera.centre_x + camera.focal_x * local[0] / -local[2]
+        row = camera.centre_y - camera.focal_y * local[1] / -local[2]
+        views.append(cut(view, column - 5, row - 4, 10, 8))
+    assert Orbit.around(replace(SCENE, train=tuple(views))).target == pytest.approx(point, abs=0.01)
+
+
+def test_where_photographs_do_not_say_how_far_they_look_it_is_as_far_as_the_middle_of_the_box():
+    box = np.array([-1.0, -1.0, -1.0]), np.array([1.0, 1.0, 3.0])
+    camera = SCENE.train[0].camera
+    away = replace(camera, camera_to_world=look_at([0.5, -4.0, 1.5], (0.5, 0.0, 1.5)))
+    assert seen_middle([away], *box) == pytest.approx([0.5, 0.0, 1.5], abs=0.01)
+    outside = replace(camera, camera_to_world=look_at([9.0, -4.0, 1.0], (9.0, 0.0, 1.0)))
+    assert seen_middle([outside], *box) == pytest.approx([1.0, 0.0, 1.0], abs=0.01)
 
 
 def test_the_camera_swings_where_a_side_was_not_photographed():
