@@ -190,6 +190,8 @@ def percentile(times_s: list[float], percent: float) -> float:
 def main(options: argparse.Namespace) -> dict[str, Any]:
     """Print a table for each database and return what is in it."""
     record: dict[str, Any] = {}
+    if options.scratch is not None:
+        options.scratch.mkdir(parents=True, exist_ok=True)
     for dialect in options.databases:
         with tempfile.TemporaryDirectory(dir=options.scratch) as folder, contextlib.ExitStack() as stack:
             sizes = ((SMALL, 0), (options.old, options.queued))
