@@ -218,6 +218,15 @@ def test_the_counts_are_those_of_the_jobs(studios: list[Studio]):
             assert job_counts.of_all_tenants(connection) == expected
 
 
+def test_the_sums_of_bytes_are_those_of_the_blobs(studios: list[Studio]):
+    for studio in studios:
+        with studio.services.database.read() as connection:
+            read = connection.exec_driver_sql
+            summed = read("SELECT tenant_id, amount FROM usage_sums WHERE name = 'bytes'").all()
+            counted = read("SELECT tenant_id, sum(size_bytes) FROM blobs GROUP BY tenant_id").all()
+        assert dict(summed) == dict(counted) != {}
+
+
 def test_the_folders_of_many_jobs_are_compared_a_few_at_a_time(studios: list[Studio]):
     large = studios[1]
     runs = large.services.settings.runs
