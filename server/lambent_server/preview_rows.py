@@ -14,7 +14,8 @@ TURNING = "turning_"
 """Begins the names of pictures between which the camera has moved on by a step
 (`lambent_worker.run.live_preview`)."""
 SHEET = "evaluation"
-"""Name of the sheet of an evaluation, whose pictures are too small for a card."""
+"""Name of the sheet of an evaluation (`lambent_worker.run.tasks.evaluate`): its pictures are too small for a
+card."""
 NEWEST = 48
 """Two turns in steps of 15 degrees: of these every picture is kept."""
 EARLIER = 96

@@ -162,7 +162,7 @@ jobs = Table(
     # The order of pictures and the part of it that the job renders; null for other kinds.
     _optional_text("order_id"),
     Column("shard", Integer),
-    # The newest preview; its event holds the blob.
+    # The newest preview but for the sheet of an evaluation; its event holds the blob.
     _optional_text("preview_sha256"),
     # Where its end is told.
     _optional_text("webhook"),

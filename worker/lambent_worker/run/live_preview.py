@@ -13,8 +13,9 @@ import torch
 from flashcache.data.scene import Camera, Scene
 from flashcache.evaluation.gbuffer import CHUNK_RAYS, cache_picture, camera_rays
 from flashcache.evaluation.threads import on_all_cores
+from flashcache.geometry.rays import pixel_directions
 from flashcache.physical.model import InverseModel
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 from lambent_relight.cameras import look_at, position_around
 from numpy import ndarray
 from torch import Tensor
@@ -22,6 +23,7 @@ from torch import Tensor
 from lambent_worker.report import figures
 from lambent_worker.report.predictions import encoded
 from lambent_worker.reporter import Reporter
+from lambent_worker.scenes.extent import looked_at_point
 
 NAME = "turning_{stage}"
 """What previews of a stage are called; bundles leave them out, for they depend on the machine's speed."""
@@ -37,8 +39,6 @@ STEP_DEG = 15.0
 WIDE_GAP_DEG = 100.0
 """Where photographs leave a gap this wide in the circle, the camera swings instead of going round."""
 _MARGIN = 1.1
-_AXIS_PRIOR = 1e-3
-"""Weight of the middle of the box against that of all cameras."""
 _GROWTH = 1.6
 """At most by which a side grows from one preview to the next: one measured time may be a lucky one."""
 
@@ -96,22 +96,24 @@ class Orbit:
         )
 
 
-def seen_middle(cameras: Sequence[Camera], low: ndarray, high: ndarray) -> ndarray:
-    """Return the point of the box from `low` to `high` closest to the rays through the middles of all frames.
+def seen_middle(
+    cameras: Sequence[Camera], low: Float64[ndarray, "3"], high: Float64[ndarray, "3"]
+) -> Float64[ndarray, "3"]:
+    """Return the point nearest to the rays through the middles of all frames, limited to the box.
 
-    Frames that are cut to the object have it in their middle, wherever it is in its box. Along directions in
-    which the rays agree, they do not say how far it is; there it is the middle of the box.
+    `low` and `high` are the corners of the box; all are world coordinates in scene units. A frame that was
+    cut to the object has it in its middle, wherever the object is in the box. Returns the middle of the box
+    where the rays are parallel.
     """
-    middle = (low + high) / 2.0
-    matrix, moment = _AXIS_PRIOR * np.eye(3), np.zeros(3)
-    for camera in cameras:
-        right = (0.5 * camera.width - camera.centre_x) / camera.focal_x
-        down = (0.5 * camera.height - camera.centre_y) / camera.focal_y
-        ray = camera.camera_to_world[:3, :3] @ np.array([right, -down, -1.0])
-        across = (np.eye(3) - np.outer(ray, ray) / (ray @ ray)) / len(cameras)
-        matrix += across
-        moment += across @ (camera.position - middle)
-    return np.clip(middle + np.linalg.solve(matrix, moment), low, high)
+    directions = pixel_directions(
+        torch.tensor([0.5 * camera.width for camera in cameras], dtype=torch.float64),
+        torch.tensor([0.5 * camera.height for camera in cameras], dtype=torch.float64),
+        torch.tensor([(camera.focal_x, camera.focal_y) for camera in cameras], dtype=torch.float64),
+        torch.tensor([(camera.centre_x, camera.centre_y) for camera in cameras], dtype=torch.float64),
+        torch.from_numpy(np.stack([camera.camera_to_world for camera in cameras])),
+    )
+    found = looked_at_point(np.stack([camera.position for camera in cameras]), directions.numpy())
+    return (low + high) / 2.0 if found is None else np.clip(found, low, high)
 
 
 def photographed_arc(azimuths_deg: ndarray) -> tuple[float, float] | None:

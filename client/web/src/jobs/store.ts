@@ -4,6 +4,9 @@ import type { Api, Job, JobEvent } from "../page/rest.js";
 import { blobAddress } from "../page/addresses.js";
 import type { StreamMessage } from "./stream.js";
 
+/** Name of the sheet of an evaluation, whose pictures are too small for a card. */
+const sheet = "evaluation";
+
 /** A value of a curve; `atS` is Unix seconds. */
 export type Sample = { readonly atS: number; readonly stage: string; readonly value: number };
 export type Preview = { readonly sha256: string; readonly name: string };
@@ -120,8 +123,7 @@ export class JobStore {
       const progress = event.progress ?? record.job.progress;
       const run = event.run || record.job.run;
       record.job = { ...record.job, progress, run, last_event: event.seq };
-      // The sheet of an evaluation has pictures too small for a card.
-      if (event.type === "preview" && event.sha256 !== "" && event.name !== "evaluation") {
+      if (event.type === "preview" && event.sha256 !== "" && event.name !== sheet) {
         record.job.thumbnail_url = blobAddress(event.sha256);
       }
     }

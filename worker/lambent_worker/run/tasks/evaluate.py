@@ -19,6 +19,9 @@ from lambent_worker.run.tasks.training import load_final, read_scene
 from lambent_worker.run.true_lights import FOLDER, read_true_lights
 from lambent_worker.run.uncertainty import keep_uncertainty, uncertainty_of_run
 
+SHEET = "evaluation"
+"""Name of the preview with all pictures; server and pages know it (`lambent_server.preview_rows.SHEET`)."""
+
 
 def run(context: TaskContext) -> None:
     """Write `evaluation/` with predictions, report.json and report.html for the preset's number of views."""
@@ -50,7 +53,7 @@ def run(context: TaskContext) -> None:
     open_factor = common_factor_note(subject)
     if open_factor is not None and not any("albedo" in view.truth for view in scene.test):
         context.reporter.finding(CODE, open_factor)
-    context.reporter.preview("evaluation", preview_sheet(subject))
+    context.reporter.preview(SHEET, preview_sheet(subject))
     for name in ("report.json", "report.html"):
         context.reporter.artifact(name, context.folder / name)
 
