@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from lambent_proto.v1 import scene_pb2
 from lambent_relight.environment.maps import load_environment
-from lambent_relight.images import linear_from_srgb, srgb_from_linear
+from lambent_relight.images import srgb_from_linear
 from lambent_worker.capture_qa.picture_camera import PictureCamera
 from lambent_worker.masks.consensus import MaskView
+from lambent_worker.scenes.coverage import frame_mask
 from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.pictures import read_coverage, read_pixels
+from lambent_worker.scenes.pictures import read_picture
 from numpy import ndarray
 from scipy import ndimage
 
@@ -109,13 +110,11 @@ def paint(folder: Path, background: Background, every: int = 1) -> Painted:
 
 def _object(folder: Path, frame: scene_pb2.Frame) -> tuple[ndarray, ndarray]:
     """Return the light [height, width, 3] of a frame's picture, and how much the object covers."""
-    pixels = read_pixels(folder / frame.images[0].path)
-    values = pixels / 255.0 if pixels.dtype == np.uint8 else pixels.astype(np.float64)
-    light = linear_from_srgb(values[..., :3]) if pixels.dtype == np.uint8 else values[..., :3]
-    coverage = values[..., 3] if values.shape[-1] == 4 else np.ones(values.shape[:2])
-    if frame.mask:
-        coverage = np.minimum(coverage, read_coverage(folder / frame.mask, frame.mask_encoding))
-    return light, coverage
+    picture = read_picture(folder / frame.images[0].path)
+    coverage, mask = picture.coverage(), frame_mask(folder, frame)
+    if mask is not None:
+        coverage = np.minimum(coverage, mask.coverage)
+    return picture.linear().astype(np.float64), coverage.astype(np.float64)
 
 
 def _encoded(light: ndarray, noise: ndarray) -> UInt8[ndarray, "height width 3"]:

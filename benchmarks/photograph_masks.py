@@ -17,13 +17,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from lambent_worker.capture_qa.observe import read_small
 from lambent_worker.capture_qa.picture_camera import PictureCamera
 from lambent_worker.masks.final import FinalSettings, colours_of, final_mask
 from lambent_worker.masks.find import FindSettings, agreement_of, find_object
 from lambent_worker.masks.photograph import Photograph, SparsePoints, of_pictures, photographs_of
 from lambent_worker.masks.sparse import sparse_points
 from lambent_worker.scenes.detect import describe_scene
+from lambent_worker.scenes.pictures import read_picture
 from numpy import ndarray
 
 from benchmarks.masks import SAMPLE, backgrounds
@@ -60,14 +60,14 @@ def of_suite(folder: Path, pictures: str, every: int) -> Measured:
         )
         path = folder / pictures / name
         photographs.append(
-            Photograph(Path(name).stem, camera, lambda side, path=path: read_small(path, side)[0])
+            Photograph(Path(name).stem, camera, lambda side, path=path: read_picture(path, side=side).srgb())
         )
     masks = folder / "truth" / "masks"
     return Measured(photographs, None, lambda i: cv2.imread(str(masks / f"{photographs[i].name}.png"), 0))
 
 
 def _read(path: Path, side: int) -> ndarray:
-    return read_small(path, side)[0]
+    return read_picture(path, side=side).srgb()
 
 
 def of_layout(folder: Path, references: Path, every: int) -> Measured:

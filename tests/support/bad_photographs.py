@@ -47,11 +47,11 @@ def _(folder: Path) -> None:
         view(index).save(folder / f"{index}.gif")
 
 
-@bad("TIFFs only", "scene.too_few_images", error=True)
+@bad("BMPs only", "scene.too_few_images", error=True)
 def _(folder: Path) -> None:
     folder.mkdir()
     for index in range(4):
-        view(index).save(folder / f"{index}.tif")
+        view(index).save(folder / f"{index}.bmp")
 
 
 @bad("a zip in the folder", "scene.too_few_images", error=True)

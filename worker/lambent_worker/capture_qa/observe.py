@@ -9,15 +9,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 from lambent_proto.v1 import scene_pb2
-from lambent_relight.images import linear_from_srgb, srgb_from_linear
+from lambent_relight.images import srgb_from_linear
 from numpy import ndarray
 from PIL import Image
 from scipy import ndimage
 
 from lambent_worker.capture_qa.limits import CaptureLimits
 from lambent_worker.capture_qa.picture_camera import PictureCamera
-from lambent_worker.scenes.colour_profile import in_srgb
-from lambent_worker.scenes.pictures import decode, is_linear, opened, read_coverage, read_pixels
+from lambent_worker.scenes.coverage import frame_mask
+from lambent_worker.scenes.picture import box_averaged
+from lambent_worker.scenes.pictures import read_picture
 from lambent_worker.scenes.resample import reduced_size
 from lambent_worker.scenes.upright import upright_turns
 
@@ -28,7 +29,6 @@ PORTRAIT_SIDE = 320
 """Longer side of the picture by which people recognise a capture, pixels."""
 _PORTRAIT_BEHIND = 232.0
 """What is behind an object that is cut out, an encoded grey."""
-_LINEAR = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -105,37 +105,37 @@ def _observe_frame(
     mask = None
     if frame.mask:
         announce(frame.mask)
-        mask = read_coverage(folder / frame.mask, frame.mask_encoding)
+        mask = frame_mask(folder, frame)
     pictures, coverage = [], np.ones((size[1], size[0]), dtype=np.float32)
     thumbnail = portrait = ""
     for image in images:
         announce(image.path)
-        encoded, alpha, is_linear = read_small(folder / image.path, limits.detail_side)
+        picture = read_picture(folder / image.path, side=limits.detail_side)
+        shown, alpha = picture.srgb(), picture.coverage()
         if mask is not None:
-            alpha = np.minimum(alpha, resized(mask, (alpha.shape[1], alpha.shape[0])))
+            alpha = np.minimum(alpha, box_averaged(mask.coverage, (alpha.shape[1], alpha.shape[0])))
         inside = alpha > 0.98
-        colours = encoded if is_linear else _LINEAR[encoded]
-        light = (colours @ LUMINANCE) * np.float32(frame.exposure or 1.0)
-        clipped = not is_linear and inside.any()
-        small = resized(alpha, size)
+        light = (picture.linear() @ LUMINANCE) * np.float32(frame.exposure or 1.0)
+        ended = picture.clipped()
+        small = box_averaged(alpha, size)
         pictures.append(
             PictureObservation(
                 light=image.light,
                 path=image.path,
-                clipped_share=float((encoded.max(axis=-1)[inside] >= limits.clipped_level).mean())
-                if clipped
+                clipped_share=float(ended.any(axis=-1)[inside].mean())
+                if ended is not None and inside.any()
                 else 0.0,
                 detail=fine_contrast(srgb_from_linear(light).astype(np.float32), alpha),
-                luminance=resized(light * alpha, size) / np.maximum(small, 1e-6),
+                luminance=box_averaged(light * alpha, size) / np.maximum(small, 1e-6),
             )
         )
         if not thumbnail:
             coverage = small
             turns = upright_turns(camera.camera_to_world)
-            upright, cover = np.rot90(encoded, turns), np.rot90(alpha, turns)
-            thumbnail = thumbnail_of(upright, cover, is_linear=is_linear, side=limits.thumbnail_side)
+            upright, cover = np.rot90(shown, turns), np.rot90(alpha, turns)
+            thumbnail = thumbnail_of(upright, cover, side=limits.thumbnail_side)
             if is_first:
-                portrait = portrait_of(upright, cover, is_linear=is_linear)
+                portrait = portrait_of(upright, cover)
     return Observation(
         frame=frame,
         camera=camera.resized(*size),
@@ -144,52 +144,6 @@ def _observe_frame(
         thumbnail=thumbnail,
         portrait=portrait,
     )
-
-
-def resized(
-    values: Float32[ndarray, "height width"], size: tuple[int, int]
-) -> Float32[ndarray, "rows columns"]:
-    """Return the values averaged over the pixels of a picture of `size` (width, height)."""
-    if (values.shape[1], values.shape[0]) == size:
-        return values
-    image = Image.fromarray(np.ascontiguousarray(values, dtype=np.float32))
-    return np.asarray(image.resize(size, Image.Resampling.BOX))
-
-
-def read_small(
-    path: Path, side: int
-) -> tuple[UInt8[ndarray, "height width 3"] | Float32[ndarray, "height width 3"], ndarray, bool]:
-    """Return a picture with its longer side near `side`, its alpha in 0..1, and whether it is linear.
-
-    8-bit pictures are averaged as they are encoded, which is exact enough for a look, and then brought to
-    sRGB. Raises `PictureError` for a picture that cannot be decoded.
-    """
-    if is_linear(path):
-        pixels = read_pixels(path)
-        colours = pixels[..., :3] if pixels.shape[-1] >= 3 else np.repeat(pixels[..., :1], 3, axis=-1)
-        alpha = pixels[..., 3] if pixels.shape[-1] == 4 else np.ones(pixels.shape[:2], dtype=np.float32)
-        size = reduced_size(pixels.shape[1], pixels.shape[0], side)
-        planes = [resized(colours[..., channel], size) for channel in range(3)]
-        return np.stack(planes, axis=-1), resized(np.clip(alpha, 0.0, 1.0), size), True
-    with opened(path) as image:
-        size = reduced_size(*image.size, side)
-        # A JPEG is decoded at a half, a quarter or an eighth where that is enough.
-        image.draft(None, size)
-        if image.mode.startswith("I"):  # Pillow would clip 16-bit grey instead of scaling it.
-            plain = Image.fromarray(read_pixels(path)[..., 0])
-        else:
-            decode(image)
-            direct = image.mode in ("RGB", "RGBA", "CMYK") or (
-                image.mode == "L" and not image.has_transparency_data
-            )
-            plain = image if direct else image.convert("RGBA")
-        small = plain.resize(size, Image.Resampling.BOX, reducing_gap=2.0) if plain.size != size else plain
-        small.info = image.info
-        small = in_srgb(small)
-        pixels = np.asarray(small if small.mode in ("RGB", "RGBA") else small.convert("RGB"))
-    opaque = np.ones(pixels.shape[:2], dtype=np.float32)
-    alpha = pixels[..., 3].astype(np.float32) / 255.0 if pixels.shape[-1] == 4 else opaque
-    return np.ascontiguousarray(pixels[..., :3]), alpha, False
 
 
 def fine_contrast(values: Float[ndarray, "height width"], alpha: Float[ndarray, "height width"]) -> float:
@@ -210,26 +164,15 @@ def fine_contrast(values: Float[ndarray, "height width"], alpha: Float[ndarray, 
 
 
 def thumbnail_of(
-    pixels: UInt8[ndarray, "height width 3"] | Float32[ndarray, "height width 3"],
-    alpha: Float32[ndarray, "height width"],
-    *,
-    is_linear: bool,
-    side: int,
+    image_srgb: UInt8[ndarray, "height width 3"], alpha: Float32[ndarray, "height width"], *, side: int
 ) -> str:
     """Return `outlined_picture` as JPEG, base64."""
-    encoded = np.round(255.0 * srgb_from_linear(pixels)).astype(np.uint8) if is_linear else pixels
-    return _jpeg(Image.fromarray(outlined_picture(encoded, alpha, side)), quality=75)
+    return _jpeg(Image.fromarray(outlined_picture(image_srgb, alpha, side)), quality=75)
 
 
-def portrait_of(
-    pixels: UInt8[ndarray, "height width 3"] | Float32[ndarray, "height width 3"],
-    alpha: Float32[ndarray, "height width"],
-    *,
-    is_linear: bool,
-) -> str:
+def portrait_of(image_srgb: UInt8[ndarray, "height width 3"], alpha: Float32[ndarray, "height width"]) -> str:
     """Return a picture of at most `PORTRAIT_SIDE` pixels over light grey, as JPEG in base64."""
-    encoded = np.round(255.0 * srgb_from_linear(pixels)).astype(np.uint8) if is_linear else pixels
-    over = encoded * alpha[..., None] + _PORTRAIT_BEHIND * (1.0 - alpha[..., None])
+    over = image_srgb * alpha[..., None] + _PORTRAIT_BEHIND * (1.0 - alpha[..., None])
     size = reduced_size(alpha.shape[1], alpha.shape[0], PORTRAIT_SIDE)
     image = Image.fromarray(np.round(over).astype(np.uint8)).resize(size, Image.Resampling.BOX)
     return _jpeg(image, quality=80)
@@ -255,7 +198,7 @@ def outlined_picture(
     over = image_srgb * weight + 176.0 * (1.0 - weight)
     size = reduced_size(alpha.shape[1], alpha.shape[0], side)
     image = Image.fromarray(np.round(over).astype(np.uint8)).resize(size, Image.Resampling.BOX)
-    mask = resized(alpha, size) >= 0.5
+    mask = box_averaged(alpha, size) >= 0.5
     shown = np.array(image)
     shown[mask & ~ndimage.binary_erosion(mask, border_value=1)] = (230, 0, 160)
     return shown

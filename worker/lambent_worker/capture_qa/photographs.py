@@ -11,16 +11,15 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
-from lambent_relight.images import srgb_from_linear
 from numpy import ndarray
 
 from lambent_worker.capture_qa import photograph_measures as measures
-from lambent_worker.capture_qa.observe import portrait_of, read_small, thumbnail_of
+from lambent_worker.capture_qa.observe import portrait_of, thumbnail_of
 from lambent_worker.capture_qa.photograph_limits import PhotographLimits
 from lambent_worker.files import file_sha256
 from lambent_worker.scenes.exif import ExifFacts, exif_facts
 from lambent_worker.scenes.picture_error import NOTHING_SKIPPED, SKIPPED, PictureError
-from lambent_worker.scenes.pictures import is_linear, opened, picture_size
+from lambent_worker.scenes.pictures import LINEAR_SUFFIXES, opened, picture_format, picture_size, read_picture
 
 MASK_AMONG_PHOTOGRAPHS = "scene.mask_among_photographs"
 
@@ -170,18 +169,17 @@ def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], portraits: 
             "scene.image_tiny",
             f"has {size[0]} x {size[1]} pixels, in which nothing can be recognised; use the original",
         )
-    linear = is_linear(path)
     row["facts"] = exif_facts(path)
-    num_pictures, is_panorama = (1, False) if linear else _extras(path)
-    pixels, alpha, _ = read_small(path, limits.detail_side)
-    if linear and not np.isfinite(pixels).all():
+    num_pictures, is_panorama = _extras(path)
+    picture = read_picture(path, side=limits.detail_side)
+    if picture.is_linear and not np.isfinite(picture.levels).all():
         raise PictureError("scene.image_not_finite", "holds NaN or infinity; export it again without")
-    shown = np.round(255.0 * srgb_from_linear(pixels)).astype(np.uint8) if linear else pixels
+    shown, alpha = picture.srgb(), picture.coverage()
     luma = measures.luma_of(shown)
     is_like_a_mask = measures.is_like_a_mask(shown)
     rank = 2 if is_like_a_mask else int(luma.std() < limits.blank_levels)
     if rank not in portraits:
-        portraits[rank] = portrait_of(shown, alpha, is_linear=False)
+        portraits[rank] = portrait_of(shown, alpha)
     return _Seen(
         figures={
             "brightness_ev": measures.brightness_ev(shown),
@@ -197,15 +195,15 @@ def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], portraits: 
         digest=file_sha256(path),
         small=measures.small_luma(luma),
         bits=measures.difference_hash(luma),
-        thumbnail=thumbnail_of(
-            shown, np.ones(luma.shape, dtype=np.float32), is_linear=False, side=limits.thumbnail_side
-        ),
+        thumbnail=thumbnail_of(shown, np.ones(luma.shape, dtype=np.float32), side=limits.thumbnail_side),
     )
 
 
 def _extras(path: Path) -> tuple[int, bool]:
     """Return how many pictures an animation has, and whether the metadata (Google's GPano) name a
     panorama."""
+    if path.suffix.lower() in LINEAR_SUFFIXES or picture_format(path) == "TIFF":
+        return 1, False
     with opened(path) as image:
         animated = image.format in ("PNG", "WEBP")
         described = image.info.get("xmp", b"")

@@ -13,13 +13,13 @@ from PIL import Image
 from scipy import ndimage
 
 from lambent_worker.capture_qa.hull import Silhouette, carve, footprint, tolerated_views
-from lambent_worker.capture_qa.observe import resized
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.masks.consensus import ConsensusSettings, Leaning, MaskView, agree
 from lambent_worker.masks.evidence import lab_of, separation
 from lambent_worker.masks.outline import refine_outline
 from lambent_worker.masks.photograph import Photograph
 from lambent_worker.scenes.extent import looked_at_point
+from lambent_worker.scenes.picture import box_averaged
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.resample import reduced_size
 
@@ -158,7 +158,7 @@ def consistency_of(
     silhouettes = []
     for view, coverage in zip(views, coverages, strict=True):
         size = reduced_size(view.camera.width, view.camera.height, settings.consensus_side)
-        mask = resized(coverage.astype(np.float32), size) >= 0.5
+        mask = box_averaged(coverage.astype(np.float32), size) >= 0.5
         silhouettes.append(Silhouette(view.camera.resized(*size), mask))
     tolerated = tolerated_views(len(views), settings.tolerated_share)
     hull = carve(silhouettes, centre - half, centre + half, cells=settings.hull_cells, tolerated=tolerated)
@@ -181,7 +181,7 @@ def separation_of(
 ) -> Float[ndarray, " views"]:
     """Return how well colours separate masks of any size from their background; see `evidence.separation`."""
     reduced = [
-        resized(coverage.astype(np.float32), (view.camera.width, view.camera.height))
+        box_averaged(coverage.astype(np.float32), (view.camera.width, view.camera.height))
         for view, coverage in zip(small, coverages, strict=True)
     ]
     return separation([lab_of(view.image_srgb) for view in small], reduced)

@@ -11,7 +11,7 @@ from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 from PIL import Image, ImageDraw
 
-from lambent_worker.capture_qa.observe import outlined_picture, resized
+from lambent_worker.capture_qa.observe import outlined_picture
 from lambent_worker.errors import WorkerError
 from lambent_worker.masks.consensus import MaskView
 from lambent_worker.masks.corrections import Correction
@@ -30,6 +30,8 @@ from lambent_worker.masks.photograph import Photograph, Progress, SparsePoints, 
 from lambent_worker.masks.propagate import propagated
 from lambent_worker.masks.segmenter import Segmenter
 from lambent_worker.masks.workspace import Workspace
+from lambent_worker.scenes.mask_levels import write_mask
+from lambent_worker.scenes.picture import box_averaged
 from lambent_worker.scenes.resample import reduced_size
 from lambent_worker.scenes.upright import turned_pixels, upright_turns
 
@@ -161,9 +163,10 @@ class MaskWriter:
     def write(self, number: int, mask: UInt8[ndarray, "height width"]) -> None:
         """Write the mask of photograph `number`, 0 to 255 in its pixels; photographs come in order."""
         photograph = self._photographs[number]
-        Image.fromarray(mask).save(self._out / MASKS / f"{photograph.name}.png", compress_level=3)
+        write_mask(self._out / MASKS / f"{photograph.name}.png", mask, compress_level=3)
         size = reduced_size(mask.shape[1], mask.shape[0], _REMEMBERED_SIDE)
-        self.coverages.append(resized(mask.astype(np.float32) / np.float32(255.0), size).astype(np.float64))
+        coverage = box_averaged(mask.astype(np.float32) / np.float32(255.0), size)
+        self.coverages.append(coverage.astype(np.float64))
 
     def finish(self, overlap: Float[ndarray, " views"], reason: str) -> WrittenMasks:
         """Write the thumbnails and return what was written."""
@@ -213,7 +216,7 @@ def contact_sheet(
     """
     thumbnails = []
     for view, coverage in zip(views, coverages, strict=True):
-        fitted = resized(coverage.astype(np.float32), (view.camera.width, view.camera.height))
+        fitted = box_averaged(coverage.astype(np.float32), (view.camera.width, view.camera.height))
         turns = upright_turns(view.camera.camera_to_world)
         picture, fitted = (turned_pixels(each, turns) for each in (view.image_srgb, fitted))
         thumbnails.append(outlined_picture(picture, fitted, _THUMBNAIL_SIDE, _BEHIND))

@@ -12,13 +12,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
-from lambent_relight.images import srgb_from_linear
 from numpy import ndarray
-from PIL import Image
 
-from lambent_worker.capture_qa.observe import read_small
 from lambent_worker.masks.photograph import Progress
-from lambent_worker.scenes.pictures import picture_size
+from lambent_worker.scenes.mask_levels import write_mask
+from lambent_worker.scenes.pictures import picture_size, read_picture
 
 SIDE = 320
 """Longer side at which photographs are compared, pixels."""
@@ -114,19 +112,14 @@ def write_motion_masks(
     pictures, sizes = [], []
     for number, path in enumerate(paths):
         progress("looking for what moves", number, len(paths))
-        colours, _, is_linear = read_small(path, SIDE)
-        if is_linear:
-            colours = np.round(255.0 * srgb_from_linear(colours)).astype(np.uint8)
-        pictures.append(np.asarray(colours[..., :3]))
+        pictures.append(read_picture(path, side=SIDE).srgb())
         sizes.append(picture_size(path))
     found = find_motion(pictures)
     if found is None:
         return None
     for name, mask, size in zip(names, found.masks, sizes, strict=True):
         full = cv2.resize(255 * mask.astype(np.uint8), size, interpolation=cv2.INTER_LINEAR)
-        target = out / f"{name}.png"
-        target.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.where(full > 127, 255, 0).astype(np.uint8)).save(target, compress_level=3)
+        write_mask(out / f"{name}.png", np.where(full > 127, 255, 0).astype(np.uint8), compress_level=3)
     return found
 
 

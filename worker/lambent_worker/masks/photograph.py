@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, UInt8
 from lambent_proto.v1 import scene_pb2
-from lambent_relight.images import srgb_from_linear
 from numpy import ndarray
 
-from lambent_worker.capture_qa.observe import read_small
 from lambent_worker.capture_qa.picture_camera import PictureCamera
 from lambent_worker.errors import WorkerError
 from lambent_worker.masks.consensus import MaskView
 from lambent_worker.scenes.picture_error import PictureError
+from lambent_worker.scenes.pictures import read_picture
 from lambent_worker.scenes.resample import reduced_size
 
 Read = Callable[[int], UInt8[ndarray, "height width 3"]]
@@ -74,10 +73,9 @@ def _file_reader(folder: Path, frame: scene_pb2.Frame, manifest: scene_pb2.Scene
 
     def read(side: int) -> UInt8[ndarray, "height width 3"]:
         try:
-            colours, _, is_linear = read_small(folder / path, side)
+            return read_picture(folder / path, side=side).srgb()
         except PictureError as error:
             raise WorkerError(error.code, f"{path} {error}") from error
-        return np.round(255.0 * srgb_from_linear(colours)).astype(np.uint8) if is_linear else colours
 
     return read
 

@@ -21,11 +21,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from lambent_proto.v1 import scene_pb2
-from lambent_relight.images import srgb_from_linear
 from numpy import ndarray
 from PIL import Image
 
-from lambent_worker.capture_qa.observe import read_small, resized
 from lambent_worker.capture_qa.picture_camera import PictureCamera
 from lambent_worker.files import write_json
 from lambent_worker.masks.consensus import MaskView
@@ -40,7 +38,9 @@ from lambent_worker.masks.estimate import (
 from lambent_worker.masks.final import preview_masks
 from lambent_worker.masks.folder import DOUBTFUL_OVERLAP, SHEET, contact_sheet
 from lambent_worker.masks.workspace import Workspace
-from lambent_worker.scenes.pictures import read_coverage
+from lambent_worker.scenes.coverage import frame_mask
+from lambent_worker.scenes.picture import box_averaged
+from lambent_worker.scenes.pictures import read_picture
 from lambent_worker.scenes.upright import turned_pixels, turned_size, upright_turns
 
 VERSION = 1
@@ -76,13 +76,13 @@ def write_given(folder: Path, manifest: scene_pb2.SceneManifest, out: Path) -> N
     views, coverages, sizes = [], [], []
     for frame in manifest.frames:
         image = min(frame.images, key=lambda image: image.light not in manifest.lights)
-        encoded, alpha, is_linear = read_small(folder / image.path, SIDE)
-        size = (alpha.shape[1], alpha.shape[0])
-        if frame.mask:
-            alpha = np.minimum(alpha, resized(read_coverage(folder / frame.mask, frame.mask_encoding), size))
-        shown = np.round(255.0 * srgb_from_linear(encoded)).astype(np.uint8) if is_linear else encoded
+        picture = read_picture(folder / image.path, side=SIDE)
+        alpha, size = picture.coverage(), picture.size
+        mask = frame_mask(folder, frame)
+        if mask is not None:
+            alpha = np.minimum(alpha, box_averaged(mask.coverage, size))
         camera = PictureCamera.of_frame(frame)
-        views.append(MaskView(frame.name, shown, camera.resized(*size)))
+        views.append(MaskView(frame.name, picture.srgb(), camera.resized(*size)))
         coverages.append(alpha)
         sizes.append((camera.width, camera.height))
     _write(out, views, coverages, sizes, Judgement(overlap=None))

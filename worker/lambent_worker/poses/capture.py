@@ -6,9 +6,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from PIL import Image
-
 from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.files import digest, file_sha256, read_record, write_json
 from lambent_worker.messages import message_to_dict
@@ -17,7 +14,7 @@ from lambent_worker.poses.apart import solve_apart
 from lambent_worker.poses.photographs import IMAGES, MASKS, Photographs, find_photographs
 from lambent_worker.poses.solution import MODEL, Solution
 from lambent_worker.poses.solve import PoseProgress, PoseSettings
-from lambent_worker.scenes.pictures import read_coverage
+from lambent_worker.scenes.mask_levels import write_mask
 from lambent_worker.scenes.problems import Problems
 
 RECORD = "poses.json"
@@ -90,10 +87,7 @@ def _write(photographs: Photographs, solution: Solution, out: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(photographs.path(name), target)
         if photographs.masked:
-            coverage = read_coverage(photographs.masks.get(name, photographs.path(name)))
-            mask = out / MASKS / f"{name}.png"
-            mask.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(np.round(255.0 * coverage).astype(np.uint8)).save(mask)
+            write_mask(out / MASKS / f"{name}.png", photographs.coverage(name))
     assert solution.model is not None
     shutil.copytree(solution.model, out / MODEL)
 

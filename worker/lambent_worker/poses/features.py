@@ -16,7 +16,7 @@ from numpy import ndarray
 from PIL import Image
 
 from lambent_worker.scenes.picture_error import PictureError, reason_of
-from lambent_worker.scenes.pictures import PILLOW_FORMATS, opened, picture_size, read_pixels
+from lambent_worker.scenes.pictures import PILLOW_FORMATS, opened, picture_format, picture_size, read_picture
 
 SURVEY_SIDE = 800
 """Longer side at which photographs with masks are looked at outside of their masks, pixels."""
@@ -130,17 +130,19 @@ def grey_picture(path: Path, box: Box, max_side: int) -> tuple[UInt8[ndarray, "h
 
 def _grey(path: Path, scale: float) -> Image.Image:
     """Return a picture in grey; a JPEG at no less than `scale` of its size."""
-    if path.suffix.lower() in PILLOW_FORMATS:
+    if path.suffix.lower() in PILLOW_FORMATS and picture_format(path) == "JPEG":
         with opened(path) as image:
-            if not image.mode.startswith("I"):
-                image.draft("L", (max(1, int(scale * image.width)), max(1, int(scale * image.height))))
-                return _decoded(image)
-    pixels = read_pixels(path)
-    if pixels.dtype != np.uint8:  # radiance
-        top = np.percentile(pixels[::4, ::4, :3], 99.5)
-        pixels = np.round(255.0 * np.clip(pixels / max(top, 1e-9), 0.0, 1.0) ** (1.0 / 2.2)).astype(np.uint8)
-    colours = pixels[..., :3] if pixels.shape[-1] >= 3 else pixels[..., 0]
-    return Image.fromarray(np.ascontiguousarray(colours)).convert("L")
+            # Of colours only the brightness counts here, in which another profile changes little.
+            image.draft("L", (max(1, int(scale * image.width)), max(1, int(scale * image.height))))
+            return _decoded(image)
+    picture = read_picture(path)
+    if picture.is_linear:
+        light = picture.linear()
+        top = np.percentile(light[::4, ::4], 99.5)
+        shown = np.round(255.0 * np.clip(light / max(top, 1e-9), 0.0, 1.0) ** (1.0 / 2.2)).astype(np.uint8)
+    else:
+        shown = picture.srgb()
+    return Image.fromarray(shown).convert("L")
 
 
 def _decoded(image: Image.Image) -> Image.Image:

@@ -3,16 +3,17 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from jaxtyping import Bool
+from jaxtyping import Bool, Float32
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
 from lambent_worker.poses.features import COVERED
+from lambent_worker.scenes.coverage import alpha_of, photograph_mask
 from lambent_worker.scenes.frames import frame_names, listed
 from lambent_worker.scenes.mask_folder import attach_masks
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.picture_files import MIN_PHOTOGRAPHS, photographs_in
-from lambent_worker.scenes.pictures import has_alpha, picture_size, read_coverage, read_pixels
+from lambent_worker.scenes.pictures import picture_size, read_picture
 from lambent_worker.scenes.problems import Problems
 
 IMAGES, MASKS = "images", "masks"
@@ -40,6 +41,15 @@ class Photographs:
     def path(self, name: str) -> Path:
         """Return the file of a photograph."""
         return self.folder / name
+
+    def coverage(self, name: str) -> Float32[ndarray, "height width"]:
+        """Return what its mask or its alpha says of a photograph's stored pixels, 0..1.
+
+        Raises `PictureError`.
+        """
+        if name in self.masks:
+            return photograph_mask(self.masks[name], self.path(name)).coverage
+        return read_picture(self.path(name)).coverage()
 
 
 def find_photographs(folder: Path, masks_dir: Path | None, problems: Problems) -> Photographs | None:
@@ -83,7 +93,7 @@ def covered_pixels(photographs: Photographs, name: str) -> Bool[ndarray, "height
     Raises `PictureError` where the mask cannot be read, has another size, or shows nothing.
     """
     file = photographs.masks.get(name, photographs.path(name))
-    coverage = read_coverage(file)
+    coverage = photographs.coverage(name)
     width, height = picture_size(photographs.path(name))
     if coverage.shape != (height, width):
         raise PictureError(
@@ -108,7 +118,7 @@ def _readable(
         name = path.relative_to(root).as_posix()
         try:
             picture_size(path)
-            cut_out[name] = look_at_alpha and has_alpha(path) and _is_cut_out(path)
+            cut_out[name] = look_at_alpha and _is_cut_out(path)
         except PictureError as error:
             faults[name] = error
     note = problems.warning if len(cut_out) >= MIN_READABLE * len(paths) else problems.error
@@ -118,8 +128,8 @@ def _readable(
 
 
 def _is_cut_out(path: Path) -> bool:
-    pixels = read_pixels(path)
-    return pixels.shape[-1] in (2, 4) and bool((pixels[..., -1] < pixels[..., -1].max()).any())
+    alpha = alpha_of(path)
+    return alpha is not None and bool((alpha < alpha.max()).any())
 
 
 def _masks(names: tuple[str, ...], root: Path, masks_dir: Path, problems: Problems) -> dict[str, Path]:

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from lambent_worker.scenes.pictures import PILLOW_FORMATS, opened, picture_size
+from lambent_worker.scenes.exif import exif_tags
+from lambent_worker.scenes.pictures import PILLOW_FORMATS, picture_size
 
 DIAGONAL_35MM = 43.267
 """Of 36 x 24 mm, which the equivalent focal length in EXIF refers to (CIPA DCG-001)."""
 FOCAL_RANGE = (0.3, 20.0)
 """Focal length over longer side; EXIF that says anything else is not believed."""
-_EXIF_FOLDER = 0x8769
 _MAKE, _MODEL, _ORIENTATION, _LENS = 0x010F, 0x0110, 0x0112, 0xA434
 _FOCAL_MM, _FOCAL_35MM, _ZOOM = 0x920A, 0xA405, 0xA404
 _PLANE_X, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
@@ -71,15 +71,8 @@ def _tags(path: Path) -> dict[int, Any]:
     """Return EXIF tags of a picture; none where there are none, or they are damaged."""
     if path.suffix.lower() not in PILLOW_FORMATS:
         return {}
-    with opened(path) as image:
-        # PNG may store EXIF after the pixels; looking for it would decode them all.
-        if image.format == "PNG" and "exif" not in image.info:
-            return {}
-        try:
-            exif = image.getexif()
-            return {**exif, **exif.get_ifd(_EXIF_FOLDER)}
-        except Exception:  # damaged EXIF tells nothing, and the picture is still a picture
-            return {}
+    first, folder = exif_tags(path)
+    return {**first, **folder}
 
 
 def _focal_px(tags: dict[int, Any], focal_mm: float, focal_35mm: float, width: int, height: int) -> float:

@@ -15,7 +15,7 @@ from typing import Any
 from PIL import Image
 
 from lambent_worker.scenes.picture_error import PictureError
-from lambent_worker.scenes.pictures import PILLOW_FORMATS, opened
+from lambent_worker.scenes.pictures import PILLOW_FORMATS, opened, picture_format
 from lambent_worker.scenes.raw_pictures import RAW_SUFFIXES, raw_settings
 
 MAKE, MODEL, ORIENTATION, DATE = 0x010F, 0x0110, 0x0112, 0x0132
@@ -89,16 +89,32 @@ def exif_facts(path: Path) -> ExifFacts:
         return _of_raw(path)
     if suffix not in PILLOW_FORMATS:
         return ExifFacts()
-    with opened(path) as image:
+    return _facts(*exif_tags(path))
+
+
+def exif_tags(path: Path) -> tuple[dict[int, Any], dict[int, Any]]:
+    """Return the tags of an encoded picture's first folder and of its EXIF folder; nothing where damaged.
+
+    Raises `PictureError` for a file that cannot be opened.
+    """
+    is_tiff = picture_format(path) == "TIFF"
+    with path.open("rb") if is_tiff else opened(path) as source:
         # PNG may store EXIF after the pixels; looking for it would decode them all.
-        if image.format == "PNG" and "exif" not in image.info:
-            return ExifFacts()
+        if not is_tiff and source.format == "PNG" and "exif" not in source.info:
+            return {}, {}
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                return _facts(image.getexif())
-        except Exception:  # damaged EXIF tells nothing, and the picture is still a picture
-            return ExifFacts()
+                exif = _of_tiff(source) if is_tiff else source.getexif()
+                return dict(exif), dict(exif.get_ifd(EXIF_FOLDER))
+        except Exception:  # damaged EXIF says nothing, and the picture is still a picture
+            return {}, {}
+
+
+def _of_tiff(file: Any) -> Image.Exif:
+    exif = Image.Exif()
+    exif.load_from_fp(file)
+    return exif
 
 
 def _of_raw(path: Path) -> ExifFacts:
@@ -114,7 +130,7 @@ def _of_raw(path: Path) -> ExifFacts:
                 exif.load_from_fp(file)
             elif start in _TIFF_LIKE_STARTS:
                 exif.load_from_fp(io.BytesIO(b"II*\0" + file.read(_MAX_RAW_BYTES)))
-            facts = _facts(exif)
+            facts = _facts(dict(exif), dict(exif.get_ifd(EXIF_FOLDER)))
         except Exception:  # as in `exif_facts`
             facts = ExifFacts()
     if not facts.is_silent and facts.time_s:
@@ -133,8 +149,7 @@ def _of_raw(path: Path) -> ExifFacts:
     )
 
 
-def _facts(exif: Image.Exif) -> ExifFacts:
-    tags = exif.get_ifd(EXIF_FOLDER)
+def _facts(exif: dict[int, Any], tags: dict[int, Any]) -> ExifFacts:
     orientation = exif.get(ORIENTATION, 1)
     return ExifFacts(
         make=_text(exif.get(MAKE)),

@@ -18,9 +18,10 @@ from numpy import ndarray
 
 from lambent_worker.scenes.capture import LIGHT, Capture
 from lambent_worker.scenes.lens import LensFigures, camera_with_lens
+from lambent_worker.scenes.mask_levels import NERO_DEPTH
 from lambent_worker.scenes.pickled_arrays import PickleRefusedError, read_pickled_data
 from lambent_worker.scenes.picture_error import PictureError
-from lambent_worker.scenes.pictures import NERO_DEPTH, picture_size
+from lambent_worker.scenes.pictures import picture_size
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.reading import pose_from_world_to_camera
 

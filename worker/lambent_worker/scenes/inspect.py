@@ -1,5 +1,6 @@
 """Checks everything in a capture: cameras, every picture, and files that do not belong there."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,10 +9,13 @@ from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.files import file_sha256
 from lambent_worker.scenes import glossy_synthetic, photographs
+from lambent_worker.scenes.coverage import frame_mask
 from lambent_worker.scenes.detect import TOLERANT_LAYOUTS, collect_scene, detect_layout
+from lambent_worker.scenes.frames import listed
 from lambent_worker.scenes.lost_frames import are_few
+from lambent_worker.scenes.mask_levels import Mask
 from lambent_worker.scenes.picture_error import NOTHING_SKIPPED, SKIPPED, PictureError
-from lambent_worker.scenes.pictures import PictureFacts, picture_facts, picture_size, read_coverage
+from lambent_worker.scenes.pictures import PictureFacts, picture_facts, picture_size
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.silhouette_check import check_silhouettes, training_silhouettes
 
@@ -140,6 +144,7 @@ def _look_at_pictures(
     seen: dict[str, str] = {}
     masked = [False]
     broken = {}
+    masks: dict[str, tuple[int, bool]] = {}
     for frame in manifest.frames:
         for image in frame.images:
             announce(image.path)
@@ -160,7 +165,10 @@ def _look_at_pictures(
         if frame.mask:
             announce(frame.mask)
             masked.append(True)
-            _look_at_mask(folder, frame, skip, problems)
+            mask = _look_at_mask(folder, frame, skip, problems)
+            if mask is not None:
+                masks[frame.mask] = mask.full, mask.is_inverted
+    _compare_masks(masks, problems)
     without_cameras = photographs.lacks_cameras(manifest.frames)
     if not any(masked) and not without_cameras:
         problems.warning(
@@ -184,17 +192,21 @@ def _note_duplicate(folder: Path, path: str, frame: str, seen: dict[str, str], p
     seen.setdefault(digest, path)
 
 
-def _look_at_mask(folder: Path, frame: scene_pb2.Frame, skip: Mapping[str, str], problems: Problems) -> None:
+def _look_at_mask(
+    folder: Path, frame: scene_pb2.Frame, skip: Mapping[str, str], problems: Problems
+) -> Mask | None:
     if frame.mask in skip:
         code = skip[frame.mask]
         problems.error(code, f'{frame.mask} (frame "{frame.name}") {SKIPPED[code]}', frame.mask)
-        return
+        return None
     try:
-        coverage = read_coverage(folder / frame.mask, frame.mask_encoding)
+        mask = frame_mask(folder, frame)
         width, height = picture_size(folder / frame.images[0].path)
     except PictureError as error:
         problems.error(error.code, f'{frame.mask} (frame "{frame.name}") {error}', frame.mask)
-        return
+        return None
+    assert mask is not None
+    coverage = mask.coverage
     if coverage.shape != (height, width):
         problems.error(
             "scene.mask_size",
@@ -208,6 +220,38 @@ def _look_at_mask(folder: Path, frame: scene_pb2.Frame, skip: Mapping[str, str],
             f'{frame.mask} (frame "{frame.name}") says that the object is not in the picture; fix the mask '
             "or leave the frame out",
             frame.mask,
+        )
+    return mask
+
+
+def _compare_masks(masks: Mapping[str, tuple[int, bool]], problems: Problems) -> None:
+    """Note masks that are inverted, and those that are written otherwise than most of the capture's."""
+    inverted = [path for path, (_, is_inverted) in masks.items() if is_inverted]
+    upright = [path for path in masks if path not in inverted]
+    if inverted and not upright:
+        problems.warning(
+            "scene.mask_inverted",
+            f"all {len(inverted)} masks are white around the picture and black inside, so black is taken for "
+            "the object; invert them if that is wrong",
+            inverted[0],
+        )
+    elif inverted:
+        odd, rest = sorted((inverted, upright), key=len)
+        problems.error(
+            "scene.mask_inverted",
+            f"{listed(odd)}: {'black' if odd is inverted else 'white'} is the object here, and "
+            f"{'white' if odd is inverted else 'black'} in {len(rest)} other masks; make them alike",
+            odd[0],
+        )
+    levels = Counter(full for full, _ in masks.values() if full)
+    if len(levels) > 1:
+        common = levels.most_common(1)[0][0]
+        odd = [path for path, (full, _) in masks.items() if full not in (0, common)]
+        problems.error(
+            "scene.mask_levels",
+            f"{listed(odd)}: the object has the level {masks[odd[0]][0]} here, and {common} in other masks; "
+            "save all with 0 for the background and 255 for the object",
+            odd[0],
         )
 
 
@@ -233,10 +277,9 @@ def _note_facts(facts: PictureFacts, path: str, frame: str, problems: Problems) 
         problems.warning(
             "scene.image_empty", f'{path} (frame "{frame}") is fully transparent; leave the frame out', path
         )
-    if facts.profile_fault:
+    if facts.colour_doubt:
         problems.warning(
             "scene.colour_profile",
-            f'the colour profile in {path} (frame "{frame}") cannot be used ({facts.profile_fault}), so its '
-            "colours are taken for sRGB; export it as sRGB if they look wrong",
+            f'{path} (frame "{frame}") {facts.colour_doubt}; export it as sRGB if they look wrong',
             path,
         )

@@ -14,7 +14,7 @@ from numpy import ndarray
 from lambent_worker.files import digest, file_sha256
 from lambent_worker.scenes.crop import Box
 
-VERSION = 1
+VERSION = 2
 """Changes whenever the same files would be loaded as other pictures."""
 MOST_PIXELS = 512 * 512
 """Larger pictures are not kept: decoding them again costs less than the disk they would take."""

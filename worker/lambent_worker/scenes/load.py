@@ -17,7 +17,7 @@ from lambent_worker.scenes.crop import Box, cropped, object_crop, whole_frame
 from lambent_worker.scenes.kept_pictures import Pictures, kept
 from lambent_worker.scenes.light_turns import light_turn
 from lambent_worker.scenes.lights import select_lights
-from lambent_worker.scenes.radiance import alphas, frame_mask, linear_photograph, stored_pixels, with_alpha
+from lambent_worker.scenes.radiance import alphas, linear_photograph, mask_coverage, stored_levels, with_alpha
 from lambent_worker.scenes.resample import reduced_size, resampled_colour, resampled_flags, resampled_weighted
 from lambent_worker.scenes.upright import turned_pixels, turned_pose, upright_turns
 from lambent_worker.scenes.world import rotation_and_scale, world_matrix
@@ -197,7 +197,7 @@ def turned(view: View, turns: int) -> View:
 
 def _pictures(folder: Path, frame: scene_pb2.Frame, max_side: int, *, cut_out: bool) -> Pictures:
     """Return a frame's photographs; only one of them at a time is in memory at its full size."""
-    mask = frame_mask(folder, frame)
+    mask = mask_coverage(folder, frame)
     part = whole_frame(frame.camera)
     if cut_out:
         part = object_crop(frame.camera, alphas(folder, frame) if mask is None else [mask])
@@ -231,9 +231,9 @@ def _load_truth(
     for kind in ("albedo", "normal", "roughness", "metallic", "distance"):
         if kind not in frame.truth:
             continue
-        values = stored_pixels(folder, frame.truth[kind])
-        if values.dtype == np.uint8:
-            values = values.astype(np.float32) / 255.0
+        values = stored_levels(folder, frame.truth[kind])
+        if values.dtype.kind == "u":
+            values = values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)
         if kind in ("albedo", "normal"):
             values = with_alpha(values)
             coverage = values[..., 3:]

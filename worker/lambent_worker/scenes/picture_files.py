@@ -14,9 +14,9 @@ from lambent_worker.scenes.raw_pictures import RAW_SUFFIXES, raw_available
 MASK_FOLDERS = frozenset({"mask", "masks"})
 MIN_PHOTOGRAPHS = 3
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".3gp")
-OTHER_PICTURE_SUFFIXES = (".gif", ".tif", ".tiff", ".bmp", ".avif", ".jp2", ".jxl", ".psd", ".svg", ".pdf")
+OTHER_PICTURE_SUFFIXES = (".gif", ".bmp", ".jp2", ".jxl", ".psd", ".svg", ".pdf")
 ARCHIVE_SUFFIXES = (".zip", ".rar", ".7z", ".tar", ".gz")
-_PREFERRED = (".heic", ".heif", ".jpg", ".jpeg", ".png", ".webp", ".exr", ".hdr")
+_PREFERRED = (".tif", ".tiff", ".heic", ".heif", ".avif", ".jpg", ".jpeg", ".png", ".webp", ".exr", ".hdr")
 _CLUTTER = frozenset({"__macosx", "@eadir", "lost+found", "$recycle.bin"})
 
 

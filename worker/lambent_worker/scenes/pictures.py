@@ -1,4 +1,8 @@
-"""Opens picture files: header first, then pixels, with a limit on how many there may be."""
+"""The one reading of picture files: header first, then pixels, with a limit on how many there may be.
+
+Check, cameras, masks, training and textures all take `read_picture`, so that none of them can see another
+picture than the others. Rows and columns are those of the file: no EXIF orientation is applied.
+"""
 
 import warnings
 from collections.abc import Iterator
@@ -6,39 +10,52 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import imagecodecs
 import numpy as np
-from jaxtyping import Float32, Shaped, UInt16
+from jaxtyping import Shaped, UInt8
 from numpy import ndarray
 from PIL import Image
 
-from lambent_worker.scenes.colour_profile import in_srgb, profile_fault
-from lambent_worker.scenes.float_pictures import (
-    FLOAT_SUFFIXES,
-    MAX_FLOAT_PIXELS,
-    float_picture_size,
-    float_pixels,
+from lambent_worker.scenes.colour_space import (
+    ADOBE_RGB,
+    LINEAR,
+    SRGB,
+    ColourSpace,
+    cmyk_as_rgb,
+    of_code_points,
+    of_gamma,
+    of_profile,
 )
+from lambent_worker.scenes.exr_pictures import MAX_EXR_PIXELS, exr_has_alpha, exr_pixels, exr_size
+from lambent_worker.scenes.float_pictures import hdr_pixels, hdr_size
+from lambent_worker.scenes.heif_boxes import nclx_of
+from lambent_worker.scenes.picture import Picture
 from lambent_worker.scenes.picture_bytes import description_of_bytes, format_of_bytes
 from lambent_worker.scenes.picture_error import PictureError, reason_of
+from lambent_worker.scenes.png_header import PngHeader, png_header
 from lambent_worker.scenes.raw_pictures import RAW_SUFFIXES, raw_picture_size, raw_pixels
+from lambent_worker.scenes.resample import reduced_size
+from lambent_worker.scenes.tiff_pictures import deep_tiff_has_alpha, deep_tiff_pixels, deep_tiff_size
 
 MAX_PIXELS = 64 * 2**20
 """Pixels a single picture may have: 8192 x 8192."""
 
 HEIF_SUFFIXES = (".heic", ".heif")
+TIFF_SUFFIXES = (".tif", ".tiff")
 PILLOW_FORMATS = {
     ".png": "PNG",
     ".jpg": "JPEG",
     ".jpeg": "JPEG",
     ".webp": "WEBP",
+    ".avif": "AVIF",
+    **dict.fromkeys(TIFF_SUFFIXES, "TIFF"),
     **dict.fromkeys(HEIF_SUFFIXES, "HEIF"),
 }
-LINEAR_SUFFIXES = (*FLOAT_SUFFIXES, *RAW_SUFFIXES)
+EXR_SUFFIX, HDR_SUFFIX = ".exr", ".hdr"
+LINEAR_SUFFIXES = (EXR_SUFFIX, HDR_SUFFIX, *RAW_SUFFIXES)
 PICTURE_SUFFIXES = (*PILLOW_FORMATS, *LINEAR_SUFFIXES)
-NERO_DEPTH = "nero_depth"
-"""Encoding of a mask that is a depth picture of Glossy Synthetic: 65535 stands for 15 scene units."""
-NERO_BACKGROUND = 14.5
-"""Depth from which on nothing was hit, scene units."""
+_EXIF_FOLDER, _INTEROPERABILITY, _COLOUR_SPACE, _INDEX = 0x8769, 0xA005, 0xA001, 1
+_ADOBE_RGB, _UNCALIBRATED = 2, 0xFFFF
 
 
 def encoding_of(path: str) -> str:
@@ -46,24 +63,20 @@ def encoding_of(path: str) -> str:
     return "linear" if path.lower().endswith(LINEAR_SUFFIXES) else "srgb"
 
 
-def is_linear(path: Path) -> bool:
-    """Return whether a file holds linear radiance as floats (EXR, HDR, raw) instead of 8-bit sRGB."""
-    return path.suffix.lower() in LINEAR_SUFFIXES
-
-
 def picture_size(path: Path) -> tuple[int, int]:
     """Return width and height in pixels from the header of the file, without decoding it.
 
-    Raises `PictureError` for a missing file, something that is no picture, or more than `MAX_PIXELS` pixels.
+    Raises `PictureError` for a missing file, one that holds no picture, or more than `MAX_PIXELS` pixels.
     """
-    if is_linear(path):
-        is_raw = path.suffix.lower() in RAW_SUFFIXES
-        width, height = raw_picture_size(path) if is_raw else float_picture_size(path)
-        limit = MAX_FLOAT_PIXELS
+    suffix, limit = path.suffix.lower(), MAX_PIXELS
+    if suffix in LINEAR_SUFFIXES:
+        size_of = {EXR_SUFFIX: exr_size, HDR_SUFFIX: hdr_size}.get(suffix, raw_picture_size)
+        width, height = size_of(path)
+        limit = MAX_EXR_PIXELS
+    elif picture_format(path) == "TIFF":
+        width, height = deep_tiff_size(path) or _pillow_size(path)
     else:
-        with opened(path) as image:
-            width, height = image.size
-        limit = MAX_PIXELS
+        width, height = _pillow_size(path)
     if width * height > limit:
         raise PictureError(
             "scene.image_too_large",
@@ -72,6 +85,37 @@ def picture_size(path: Path) -> tuple[int, int]:
     if not width or not height:
         raise PictureError("scene.image_broken", "has no pixels; export it again")
     return width, height
+
+
+def read_picture(path: Path, *, side: int | None = None) -> Picture:
+    """Return a decoded picture; with `side`, one whose longer side has about that many pixels, at most.
+
+    Raises `PictureError` as `picture_size` does, for files that end too early or hold broken data, and for
+    colours that cannot be brought to linear Rec. 709.
+    """
+    suffix = path.suffix.lower()
+    size = picture_size(path)
+    if suffix == EXR_SUFFIX:
+        levels, alpha, space = exr_pixels(path)
+        picture = Picture(levels=levels, alpha=alpha, space=space)
+    elif suffix == HDR_SUFFIX:
+        picture = Picture(levels=hdr_pixels(path), alpha=None, space=LINEAR)
+    elif suffix in RAW_SUFFIXES:
+        picture = Picture(levels=raw_pixels(path), alpha=None, space=LINEAR)
+    else:
+        picture = _encoded_picture(path, side)
+    return picture if side is None else picture.resized(reduced_size(*size, side))
+
+
+def read_levels(path: Path) -> Shaped[ndarray, "height width channels"]:
+    """Return the numbers of a picture that holds no colours (normals, materials), alpha as its last channel.
+
+    8- or 16-bit integers or float32, as they are stored. Raises `PictureError` as `read_picture` does.
+    """
+    picture = read_picture(path)
+    if picture.alpha is None:
+        return picture.levels
+    return np.concatenate([picture.levels, picture.alpha[..., None].astype(picture.levels.dtype)], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,92 +127,41 @@ class PictureFacts:
     """Nothing but transparent pixels."""
     has_background: bool
     """At least one pixel is transparent."""
-    profile_fault: str = ""
-    """Why its colour profile cannot be used."""
+    colour_doubt: str = ""
+    """As in `Picture.colour_doubt`."""
 
 
 def picture_facts(path: Path) -> PictureFacts:
-    """Return facts about a picture after decoding all of it, in as little memory as that takes.
-
-    Raises `PictureError` as `read_pixels` does.
-    """
-    if is_linear(path):
-        pixels = read_pixels(path)
-        alpha = pixels[..., 3] if pixels.shape[-1] == 4 else np.ones(1)
-        return PictureFacts(
-            is_finite=bool(np.isfinite(pixels).all()),
-            is_empty=bool(alpha.max() <= 0.0),
-            has_background=bool(alpha.min() < 1.0),
-        )
-    picture_size(path)
-    with opened(path) as image:
-        decode(image)
-        bands = image.getextrema() if len(image.getbands()) > 1 else (image.getextrema(),)
-        alpha = dict(zip(image.getbands(), bands, strict=True)).get("A", (255, 255))
-        fault = profile_fault(image)
+    """Return facts about a picture after decoding all of it. Raises `PictureError` as `read_picture` does."""
+    picture = read_picture(path)
+    low, high = 1.0, 1.0
+    if picture.alpha is not None:
+        full = 1.0 if picture.alpha.dtype.kind == "f" else float(np.iinfo(picture.alpha.dtype).max)
+        low, high = float(picture.alpha.min()) / full, float(picture.alpha.max()) / full
     return PictureFacts(
-        is_finite=True, is_empty=alpha[1] == 0, has_background=alpha[0] < 255, profile_fault=fault
+        is_finite=not picture.is_linear or bool(np.isfinite(picture.levels).all()),
+        is_empty=high <= 0.0,
+        has_background=low < 1.0,
+        colour_doubt=picture.colour_doubt,
     )
 
 
-def read_pixels(path: Path) -> Shaped[ndarray, "height width channels"]:
-    """Return the pixels of a photograph: 8-bit sRGB(A) or grey(+alpha), or float32 for EXR, HDR and raw
-    files.
-
-    Rows and columns are those of the file: no EXIF orientation is applied. Colours in another profile than
-    sRGB are converted, 16-bit grey is reduced to 8 bit. Raises `PictureError` as `picture_size` does, and for
-    files that end too early or hold broken data.
-    """
-    if path.suffix.lower() in RAW_SUFFIXES:
-        picture_size(path)
-        return raw_pixels(path)
-    if path.suffix.lower() in FLOAT_SUFFIXES:
-        picture_size(path)
-        return float_pixels(path)
-    picture_size(path)
-    with opened(path) as image:
-        decode(image)
-        if image.mode.startswith("I"):
-            return (_sixteen_bit(image) >> 8).astype(np.uint8)
-        pixels = np.asarray(in_srgb(image))
-    return pixels[..., None] if pixels.ndim == 2 else pixels
-
-
 def has_alpha(path: Path) -> bool:
-    """Return whether a picture has a channel for transparency; from the header, but for EXR.
+    """Return whether a picture states transparency, from its header.
 
     Raises `PictureError` as `picture_size` does.
     """
-    if is_linear(path):
-        return path.suffix.lower() == ".exr" and read_pixels(path).shape[-1] == 4
+    suffix = path.suffix.lower()
+    if suffix in LINEAR_SUFFIXES:
+        return suffix == EXR_SUFFIX and exr_has_alpha(path)
+    if picture_format(path) == "TIFF" and deep_tiff_size(path) is not None:
+        return deep_tiff_has_alpha(path)
     with opened(path) as image:
         return image.has_transparency_data
 
 
-def read_coverage(path: Path, encoding: str = "") -> Float32[ndarray, "height width"]:
-    """Return the object's coverage of each pixel, from 0 to 1, from a mask file.
-
-    That is the grey level, or the alpha where any pixel of the file is transparent; with the encoding
-    `NERO_DEPTH` it is 1 where something nearer than the background is. Raises `PictureError` as `read_pixels`
-    does. Colour profiles are ignored: the numbers are shares.
-    """
-    if is_linear(path):
-        pixels, full = read_pixels(path), 1.0
-    else:
-        pixels = _stored_pixels(path)
-        full = float(np.iinfo(pixels.dtype).max)
-    if encoding == NERO_DEPTH:
-        return (pixels[..., 0] * (15.0 / full) < NERO_BACKGROUND).astype(np.float32)
-    channels = pixels.shape[-1]
-    if channels in (2, 4) and (pixels[..., -1] < full).any():
-        grey = pixels[..., -1].astype(np.float32)
-    else:
-        grey = pixels[..., : 3 if channels >= 3 else 1].mean(axis=-1, dtype=np.float32)
-    return np.clip(grey / np.float32(full), 0.0, 1.0)
-
-
 def picture_format(path: Path) -> str:
-    """Return what an 8-bit picture is by its first bytes: JPEG, PNG, WEBP or HEIF, whatever its suffix says.
+    """Return what an encoded picture is by its first bytes (`PILLOW_FORMATS`), whatever its suffix says.
 
     Programs that copy photographs from telephones name HEIC files .jpg. Raises `PictureError` for anything
     else.
@@ -179,11 +172,11 @@ def picture_format(path: Path) -> str:
     if suffix not in PILLOW_FORMATS:
         raise PictureError(
             "scene.image_format",
-            f"has the unsupported suffix {suffix!r}; use JPEG, HEIC, PNG, WebP, EXR, HDR or a camera's raw "
-            f"format",
+            f"has the unsupported suffix {suffix!r}; use JPEG, HEIC, PNG, WebP, AVIF, TIFF, EXR, HDR or a "
+            f"camera's raw format",
         )
     with path.open("rb") as file:
-        start = file.read(16)
+        start = file.read(32)
     known = format_of_bytes(start)
     if known is None:
         raise PictureError(
@@ -195,7 +188,7 @@ def picture_format(path: Path) -> str:
 
 
 def opened(path: Path) -> Image.Image:
-    """Return an 8-bit picture with its header read; raises `PictureError` where that cannot be done."""
+    """Return an encoded picture with its header read; raises `PictureError` where that cannot be done."""
     known = picture_format(path)
     if known == "HEIF":
         _learn_heif()
@@ -211,38 +204,6 @@ def opened(path: Path) -> Image.Image:
             "scene.image_not_a_picture",
             f"is not a {known} picture ({reason_of(error)}); export or copy it again",
         ) from error
-
-
-@contextmanager
-def _only_bombs_are_errors() -> Iterator[None]:
-    """Raise Pillow's warning of too many pixels, and drop those of damaged extras, such as EXIF or a gain
-    map."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("error", Image.DecompressionBombWarning)
-        yield
-
-
-def _learn_heif() -> None:
-    from pillow_heif import register_heif_opener
-
-    register_heif_opener()
-
-
-def _stored_pixels(path: Path) -> Shaped[ndarray, "height width channels"]:
-    """Return 8-bit pixels as they are stored, or 16-bit ones where the file is grey with 16 bits."""
-    picture_size(path)
-    with opened(path) as image:
-        decode(image)
-        if image.mode.startswith("I"):
-            return _sixteen_bit(image)
-        plain = image if image.mode in ("RGB", "RGBA", "L", "LA") else image.convert("RGBA")
-        pixels = np.asarray(plain)
-    return pixels[..., None] if pixels.ndim == 2 else pixels
-
-
-def _sixteen_bit(image: Image.Image) -> UInt16[ndarray, "height width 1"]:
-    return np.clip(np.asarray(image), 0, 65535).astype(np.uint16)[..., None]
 
 
 def decode(image: Image.Image) -> None:
@@ -261,3 +222,157 @@ def decode(image: Image.Image) -> None:
             f"has {image.width} x {image.height} pixels, and its header says {size[0]} x {size[1]}; export "
             "or copy it again",
         )
+
+
+def _encoded_picture(path: Path, side: int | None) -> Picture:
+    """Return a picture of 8 or 16 bits with the space that the file states."""
+    known = picture_format(path)
+    if known == "TIFF" and deep_tiff_size(path) is not None:
+        levels, alpha, profile = deep_tiff_pixels(path)
+        if levels.dtype.kind == "f" and not profile:
+            return Picture(levels=levels, alpha=alpha, space=LINEAR)
+        space, doubt = of_profile(profile, levels.shape[-1]) if profile else (SRGB, "")
+        return Picture(levels=levels, alpha=alpha, space=space, colour_doubt=doubt)
+    with opened(path) as image:
+        png = _png_header(path, image) if known == "PNG" else None
+        if png is not None and png.bit_depth == 16:
+            levels, alpha = _sixteen_bit(path, png)
+        else:
+            if side is not None and known == "JPEG":
+                # A JPEG is decoded at a half, a quarter or an eighth where that is enough.
+                image.draft(None, reduced_size(*image.size, side))
+            decode(image)
+            levels, alpha = _eight_bit(image, png)
+        # After the pixels: PNG may have its EXIF there.
+        exif = _exif_space(image)
+        space, doubt = _stated_space(path, known, image, png, exif, levels.shape[-1])
+    return Picture(levels=levels, alpha=alpha, space=space, colour_doubt=doubt)
+
+
+def _stated_space(
+    path: Path,
+    known: str,
+    image: Image.Image,
+    png: PngHeader | None,
+    exif: tuple[ColourSpace, str],
+    channels: int,
+) -> tuple[ColourSpace, str]:
+    """Return the space that a file states, in the order of its standard, and why to doubt it, or "".
+
+    PNG: cICP, iCCP, sRGB, gAMA with cHRM (W3C PNG 3rd edition, 4.3). HEIC and AVIF: profile, nclx. All
+    others: profile. EXIF counts where nothing else is stated, and sRGB where EXIF is silent too.
+    """
+    profile = b"" if image.mode == "CMYK" else bytes(image.info.get("icc_profile") or b"")
+    if png is not None and png.code_points:
+        return of_code_points(*png.code_points[:2]), ""
+    if profile:
+        return of_profile(profile, channels)
+    if png is not None and png.is_srgb:
+        return SRGB, ""
+    if png is not None and png.gamma:
+        return of_gamma(png.gamma, png.chromaticities), ""
+    if known in ("HEIF", "AVIF"):
+        nclx = nclx_of(path)
+        if nclx is not None:
+            return of_code_points(*nclx), ""
+    return exif
+
+
+def _exif_space(image: Image.Image) -> tuple[ColourSpace, str]:
+    """Return Adobe RGB where EXIF names it, as cameras do that write no profile, else sRGB; and any doubt.
+
+    Source: DCF 2.0 (CIPA DC-009), 3.4: ColorSpace "uncalibrated" with interoperability index R03. Some write
+    ColorSpace 2, and programs that copy EXIF lose the index.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            exif = image.getexif()
+            tags = exif.get_ifd(_EXIF_FOLDER)
+            index = str(exif.get_ifd(_INTEROPERABILITY).get(_INDEX, "")).strip("\0 ")
+    except Exception:  # damaged EXIF says nothing, and the picture is still a picture
+        return SRGB, ""
+    space = tags.get(_COLOUR_SPACE)
+    if space == _ADOBE_RGB or (space == _UNCALIBRATED and index == "R03"):
+        return ADOBE_RGB, ""
+    if space == _UNCALIBRATED and not index:
+        return ADOBE_RGB, (
+            "has no colour profile, and its EXIF says that its colours are not sRGB, so they are taken for "
+            "Adobe RGB"
+        )
+    return SRGB, ""
+
+
+def _eight_bit(
+    image: Image.Image, png: PngHeader | None
+) -> tuple[UInt8[ndarray, "height width channels"], UInt8[ndarray, "height width"] | None]:
+    """Return 8-bit levels, one or three channels, and alpha of a decoded picture."""
+    if image.mode == "CMYK":
+        return np.asarray(cmyk_as_rgb(image)), None
+    if image.mode in ("LAB", "HSV", "I", "F") or image.mode.startswith("I;"):
+        raise PictureError(
+            "scene.image_format",
+            f"stores pixels as {image.mode}, which photographs are not read from; export it as RGB",
+        )
+    key = png.key if png is not None else ()
+    if key:
+        plain = np.asarray(image.convert("L" if len(key) == 1 else "RGB"))
+        plain = plain.reshape(*plain.shape[:2], -1)
+        # Grey of 1, 2 or 4 bits is spread over 0..255, and so is the key.
+        scaled = np.array(key) * (255 // (2**png.bit_depth - 1) if png is not None else 1)
+        return plain, np.where((plain == scaled).all(axis=-1), np.uint8(0), np.uint8(255))
+    mode = image.mode
+    if mode not in ("L", "LA", "RGB", "RGBA"):
+        mode = "L" if mode == "1" else "RGBA" if image.has_transparency_data else "RGB"
+    pixels = np.asarray(image if mode == image.mode else image.convert(mode))
+    if mode == "L":
+        return pixels[..., None], None
+    if mode == "RGB":
+        return pixels, None
+    return np.ascontiguousarray(pixels[..., :-1]), np.ascontiguousarray(pixels[..., -1])
+
+
+def _sixteen_bit(
+    path: Path, png: PngHeader
+) -> tuple[Shaped[ndarray, "height width channels"], Shaped[ndarray, "height width"] | None]:
+    """Return levels and alpha of a PNG with 16 bits, which Pillow would cut to 8."""
+    try:
+        pixels = np.asarray(imagecodecs.png_decode(path.read_bytes()))
+    except Exception as error:  # as in `decode`
+        raise PictureError(
+            "scene.image_broken", f"cannot be decoded ({reason_of(error)}); export or copy it again"
+        ) from error
+    pixels = pixels.reshape(*pixels.shape[:2], -1)
+    colours = 1 if png.colour_type in (0, 4) else 3
+    alpha = np.ascontiguousarray(pixels[..., colours]) if pixels.shape[-1] > colours else None
+    return np.ascontiguousarray(pixels[..., :colours]), alpha
+
+
+def _png_header(path: Path, image: Image.Image) -> PngHeader:
+    try:
+        return png_header(path)
+    except ValueError as error:
+        raise PictureError(
+            "scene.image_broken", f"cannot be decoded ({reason_of(error)}); export or copy it again"
+        ) from error
+
+
+def _pillow_size(path: Path) -> tuple[int, int]:
+    with opened(path) as image:
+        return image.size
+
+
+@contextmanager
+def _only_bombs_are_errors() -> Iterator[None]:
+    """Raise Pillow's warning of too many pixels, and drop those of damaged extras, such as EXIF or a gain
+    map."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        yield
+
+
+def _learn_heif() -> None:
+    from pillow_heif import register_heif_opener
+
+    register_heif_opener()

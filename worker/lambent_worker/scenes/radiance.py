@@ -8,37 +8,32 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import torch
-from flashcache.color import linear_from_srgb
-from jaxtyping import Bool, Float32, Shaped, UInt8
+from jaxtyping import Bool, Float32, Shaped
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
 from lambent_worker.errors import WorkerError
-from lambent_worker.scenes.coverage import alpha_of
+from lambent_worker.scenes import coverage
 from lambent_worker.scenes.crop import Box
+from lambent_worker.scenes.picture import Part, Picture
 from lambent_worker.scenes.picture_error import PictureError
-from lambent_worker.scenes.pictures import has_alpha, read_coverage, read_pixels
-
-CLIPPED_LEVEL = 252
-"""Encoded level of a channel from which on it may have been clipped; below 255 for the rounding of JPEG."""
+from lambent_worker.scenes.pictures import read_levels, read_picture
 
 
-def frame_mask(folder: Path, frame: scene_pb2.Frame) -> Float32[ndarray, "height width"] | None:
+def mask_coverage(folder: Path, frame: scene_pb2.Frame) -> Float32[ndarray, "height width"] | None:
     """Return the coverage in a frame's mask file, or None where it has none. Raises `WorkerError`."""
-    if not frame.mask:
-        return None
     with _naming(frame.mask):
-        return read_coverage(folder / frame.mask, frame.mask_encoding)
+        mask = coverage.frame_mask(folder, frame)
+    return None if mask is None else mask.coverage
 
 
 def alphas(folder: Path, frame: scene_pb2.Frame) -> Iterator[Float32[ndarray, "height width"]]:
     """Yield the alpha of the photographs that have one, one at a time. Raises `WorkerError`."""
     for image in frame.images:
         with _naming(image.path):
-            found = alpha_of(folder / image.path) if has_alpha(folder / image.path) else None
-        if found is not None:
-            yield found
+            alpha = coverage.alpha_of(folder / image.path)
+        if alpha is not None:
+            yield alpha
 
 
 def linear_photograph(
@@ -54,26 +49,28 @@ def linear_photograph(
     end of the scale; None where no pixel is, as in pictures of floats. Raises `WorkerError` for a file that
     cannot be read, and for a mask of another size.
     """
-    pixels = stored_pixels(folder, image.path)
-    if mask is not None and mask.shape != pixels.shape[:2]:
+    with _naming(image.path):
+        picture = read_picture(folder / image.path)
+    width, height = picture.size
+    if mask is not None and mask.shape != (height, width):
         raise WorkerError(
             "scene.mask_size",
             f"{frame.mask} has {mask.shape[1]} x {mask.shape[0]} pixels, {image.path} has "
-            f"{pixels.shape[1]} x {pixels.shape[0]}; make them one size",
+            f"{width} x {height}; make them one size",
         )
     part = slice(box[1], box[3]), slice(box[0], box[2])
-    rgba = _linear_rgba(pixels[part], image.encoding)
+    rgba = np.dstack([picture.linear(part), picture.coverage(part)])
     rgba[..., :3] *= np.float32(frame.exposure or 1.0)
     if mask is not None:
         # The smaller of the two: a picture that was cut out with the same mask keeps its soft edges.
         rgba[..., 3] = np.minimum(rgba[..., 3], mask[part])
-    return rgba, _clipped(pixels[part], rgba[..., 3:]) if image.encoding == "srgb" else None
+    return rgba, _clipped(picture, part, rgba[..., 3:])
 
 
-def stored_pixels(folder: Path, path: str) -> Shaped[ndarray, "height width channels"]:
-    """Return the pixels of a file of the capture as `read_pixels` does; raises `WorkerError` naming it."""
+def stored_levels(folder: Path, path: str) -> Shaped[ndarray, "height width channels"]:
+    """Return the numbers in a file of the capture as `read_levels` does; raises `WorkerError` naming it."""
     with _naming(path):
-        return read_pixels(folder / path)
+        return read_levels(folder / path)
 
 
 def with_alpha(values: Float32[ndarray, "height width _"]) -> Float32[ndarray, "height width 4"]:
@@ -84,31 +81,13 @@ def with_alpha(values: Float32[ndarray, "height width _"]) -> Float32[ndarray, "
 
 
 def _clipped(
-    pixels: UInt8[ndarray, "height width channels"], coverage: Float32[ndarray, "height width 1"]
+    picture: Picture, part: Part, covered: Float32[ndarray, "height width 1"]
 ) -> Bool[ndarray, "height width 3"] | None:
-    colour = pixels[..., :1] if pixels.shape[-1] <= 2 else pixels[..., :3]
-    flags = (colour >= CLIPPED_LEVEL) & (coverage > 0.0)
+    ended = picture.clipped(part)
+    if ended is None:
+        return None
+    flags = ended & (covered > 0.0)
     return np.broadcast_to(flags, (*flags.shape[:2], 3)) if flags.any() else None
-
-
-def _linear_rgba(
-    pixels: Shaped[ndarray, "height width channels"], encoding: str
-) -> Float32[ndarray, "height width 4"]:
-    height, width, channels = pixels.shape
-    rgba = np.empty((height, width, 4), dtype=np.float32)
-    colour = pixels[..., :1] if channels <= 2 else pixels[..., :3]  # grey, perhaps with alpha
-    has_alpha_channel = channels in (2, 4)
-    if not has_alpha_channel:
-        rgba[..., 3] = 1.0
-    if encoding == "srgb":
-        rgba[..., :3] = linear_from_srgb(torch.arange(256) / 255.0).numpy()[colour]
-        if has_alpha_channel:
-            np.divide(pixels[..., -1], np.float32(255.0), out=rgba[..., 3])
-    else:
-        rgba[..., :3] = colour
-        if has_alpha_channel:
-            rgba[..., 3] = pixels[..., -1]
-    return rgba
 
 
 @contextmanager

@@ -8,8 +8,10 @@ import pytest
 from lambent_proto.v1 import scene_pb2
 from lambent_relight.environment.exr import write_exr
 from lambent_worker.capture_qa.limits import CaptureLimits
-from lambent_worker.capture_qa.observe import PORTRAIT_SIDE, fine_contrast, observe, read_small, resized
+from lambent_worker.capture_qa.observe import PORTRAIT_SIDE, fine_contrast, observe
 from lambent_worker.scenes.detect import collect_scene
+from lambent_worker.scenes.picture import box_averaged
+from lambent_worker.scenes.pictures import read_picture
 from lambent_worker.scenes.problems import Problems
 from PIL import Image
 from scipy.ndimage import gaussian_filter
@@ -47,10 +49,11 @@ def test_every_frame_is_seen_once_and_every_training_light_of_it(tmp_path):
 
 def test_a_large_jpeg_is_decoded_small(tmp_path):
     Image.fromarray(np.full((900, 1600, 3), 77, dtype=np.uint8)).save(tmp_path / "a.jpg")
-    colours, alpha, is_linear = read_small(tmp_path / "a.jpg", 200)
+    picture = read_picture(tmp_path / "a.jpg", side=200)
+    colours, alpha = picture.srgb(), picture.coverage()
     assert colours.shape == (112, 200, 3)
     assert (alpha == 1.0).all()
-    assert not is_linear
+    assert not picture.is_linear
     assert np.abs(colours.astype(int) - 77).max() <= 2
 
 
@@ -59,14 +62,15 @@ def test_transparent_pixels_do_not_bleed_into_the_reduced_picture(tmp_path):
     pixels[..., :3] = (255, 0, 0)
     pixels[:, 30:] = (0, 90, 0, 255)
     Image.fromarray(pixels).save(tmp_path / "a.png")
-    colours, alpha, _ = read_small(tmp_path / "a.png", 16)
+    picture = read_picture(tmp_path / "a.png", side=16)
+    colours, alpha = picture.srgb(), picture.coverage()
     assert alpha[0, 7] == pytest.approx(0.5, abs=0.01)
     assert colours[0, 7] == pytest.approx([0, 90, 0], abs=1)
 
 
 def test_sixteen_bit_grey_is_scaled_and_not_clipped(tmp_path):
     Image.fromarray(np.full((8, 8), 0x4000, dtype=np.uint16)).save(tmp_path / "a.png")
-    assert read_small(tmp_path / "a.png", 8)[0][0, 0].tolist() == [64, 64, 64]
+    assert read_picture(tmp_path / "a.png", side=8).srgb()[0, 0].tolist() == [64, 64, 64]
 
 
 def test_luminance_is_linear_and_in_the_exposure_of_the_first_frame(tmp_path):
@@ -129,7 +133,7 @@ def test_what_has_no_contrast_has_no_sharpness():
 
 
 def test_values_are_averaged_over_new_pixels():
-    assert resized(np.arange(16, dtype=np.float32).reshape(4, 4), (2, 2)).tolist() == [
+    assert box_averaged(np.arange(16, dtype=np.float32).reshape(4, 4), (2, 2)).tolist() == [
         [2.5, 4.5],
         [10.5, 12.5],
     ]

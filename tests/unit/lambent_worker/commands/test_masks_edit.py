@@ -16,7 +16,7 @@ from lambent_worker.run.folder import begin_task, done_inputs
 from lambent_worker.run.hashes import input_hashes
 from lambent_worker.run.spec import RunSpec, keep_run, read_run, with_kept_corrections
 from lambent_worker.run.tasks import masks as masks_task
-from lambent_worker.scenes.pictures import read_coverage
+from lambent_worker.scenes.mask_levels import read_mask
 from support.ball_photographs import write_ball_photographs, write_masks
 from typer.testing import CliRunner
 
@@ -73,7 +73,7 @@ def test_a_person_corrects_the_masks_of_a_run_and_training_takes_them(tmp_path, 
     assert result.exit_code == 0, result.output
     assert f"lambent train {tmp_path / 'scene'} -o {run}" in result.stdout
     assert json.loads((run / "corrections.json").read_text())["corrections"] == [box]
-    mask = read_coverage(run / "estimated_masks" / "masks" / "train_r_3.png")
+    mask = read_mask(run / "estimated_masks" / "masks" / "train_r_3.png").coverage
     assert (mask[inner] < 0.5).all()
     spec = with_kept_corrections(RunSpec.from_options(tmp_path / "scene", preset="tiny"), run)
     assert done_inputs(run, "masks") == input_hashes(spec)["masks"]
@@ -83,7 +83,7 @@ def test_a_person_corrects_the_masks_of_a_run_and_training_takes_them(tmp_path, 
     result = call(tmp_path / "scene", "-o", run, "--edit")
     assert result.exit_code == 0, result.output
     assert not read_run(run)[0].corrections
-    assert read_coverage(run / "estimated_masks" / "masks" / "train_r_3.png")[inner].all()
+    assert read_mask(run / "estimated_masks" / "masks" / "train_r_3.png").coverage[inner].all()
     assert len(searches) == 1
 
     begin_task(run, "cache", "inputs")

@@ -13,7 +13,7 @@ from lambent_worker.masks.folder import write_masks as write_masks_of
 from lambent_worker.masks.segmenter import find_segmenter
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.inspect import inspect_capture
-from lambent_worker.scenes.pictures import read_coverage
+from lambent_worker.scenes.mask_levels import read_mask
 from PIL import Image
 from support.ball_photographs import write_ball_photographs, write_masks
 from support.ball_views import SIDE
@@ -49,7 +49,7 @@ def test_estimated_masks_are_right_and_are_taken_by_the_check(tmp_path):
     assert f'--masks "{tmp_path / "out" / "masks"}"' in result.stdout
     assert "scene.no_mask" in call(check_cli.check, tmp_path / "scene").stdout
     for name, mask in true.items():
-        found = read_coverage(tmp_path / "out" / "masks" / f"{name}.png")
+        found = read_mask(tmp_path / "out" / "masks" / f"{name}.png").coverage
         assert overlap(found, mask.astype(float)) > 0.9
     checked = call(check_cli.check, tmp_path / "scene", "--masks", tmp_path / "out" / "masks", "--json")
     record = json.loads(checked.stdout)
@@ -63,7 +63,7 @@ def test_somebody_elses_segmenter_is_called_with_cameras_and_pictures(tmp_path):
     name = f"{__name__}:red_is_the_object"
     result = call(masks_cli.masks, tmp_path / "scene", "-o", tmp_path / "out", "--segmenter", name, "--json")
     assert json.loads(result.stdout)["masks"] == str(tmp_path / "out" / "masks")
-    found = read_coverage(tmp_path / "out" / "masks" / "train_r_3.png")
+    found = read_mask(tmp_path / "out" / "masks" / "train_r_3.png").coverage
     assert (found[true["train_r_3"]] == 1).mean() > 0.95
     assert (found[~true["train_r_3"]] == 0).all()
 

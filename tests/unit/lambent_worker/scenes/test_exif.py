@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from lambent_worker.scenes.exif import ExifFacts, exif_facts
-from lambent_worker.scenes.pictures import picture_size, read_pixels
+from lambent_worker.scenes.pictures import picture_size, read_levels
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
@@ -71,14 +71,14 @@ def test_of_heic_header_pixels_and_orientation_agree(tmp_path, orientation):
     Image.fromarray(corner).save(tmp_path / "a.heic", quality=95, exif=phone_exif(orientation).tobytes())
     upright = np.rot90(corner, {1: 0, 3: 2, 6: 3, 8: 1}[orientation])
     assert picture_size(tmp_path / "a.heic") == upright.shape[1::-1]
-    assert np.abs(read_pixels(tmp_path / "a.heic")[..., :3].astype(int) - upright).mean() < 8.0
+    assert np.abs(read_levels(tmp_path / "a.heic")[..., :3].astype(int) - upright).mean() < 8.0
     assert exif_facts(tmp_path / "a.heic").orientation == 1
 
 
 def test_stored_pixels_of_a_turned_jpeg_stay_as_they_are_stored(tmp_path):
     IMAGE.save(tmp_path / "a.jpg", quality=100, subsampling=0, exif=phone_exif(6))
     assert picture_size(tmp_path / "a.jpg") == (40, 30)
-    assert np.abs(read_pixels(tmp_path / "a.jpg").astype(int) - np.asarray(IMAGE)).mean() < 3.0
+    assert np.abs(read_levels(tmp_path / "a.jpg").astype(int) - np.asarray(IMAGE)).mean() < 3.0
 
 
 def test_no_exif_and_broken_exif_say_nothing(tmp_path):

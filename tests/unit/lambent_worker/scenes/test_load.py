@@ -6,6 +6,7 @@ from flashcache.evaluation.metrics import over_white
 from lambent_proto.v1 import scene_pb2
 from lambent_worker.errors import WorkerError
 from lambent_worker.scenes import radiance
+from lambent_worker.scenes.colour_space import ColourSpace
 from lambent_worker.scenes.detect import describe_scene
 from lambent_worker.scenes.load import load_scene
 from lambent_worker.scenes.upright import turned_pose
@@ -285,15 +286,15 @@ def test_only_the_crop_of_a_photograph_becomes_float(tmp_path, monkeypatch):
     folder = blender_with_object(tmp_path)
     made = []
 
-    def spy(pixels, encoding):
-        assert pixels.dtype == np.uint8
-        made.append(pixels.shape)
-        return convert(pixels, encoding)
+    def spy(space, levels):
+        assert levels.dtype == np.uint8
+        made.append(levels.shape)
+        return convert(space, levels)
 
-    convert = radiance._linear_rgba
-    monkeypatch.setattr(radiance, "_linear_rgba", spy)
+    convert = ColourSpace.linear
+    monkeypatch.setattr(ColourSpace, "linear", spy)
     load(folder, max_side=64, crop="object")
-    assert set(made) == {(22, 22, 4)}
+    assert set(made) == {(22, 22, 3)}
 
 
 def test_channels_at_the_end_of_the_scale_are_flagged_where_the_object_is(tmp_path):
@@ -346,8 +347,8 @@ def test_a_photograph_that_was_much_reduced_is_decoded_once_until_it_changes(tmp
     pixels = np.asarray(Image.open(folder / "train" / "r_0.png")).copy()
     pixels[35, 45, :3] = 255
     save(folder / "train" / "r_0.png", pixels)
-    right = radiance.stored_pixels
-    monkeypatch.setattr(radiance, "stored_pixels", lambda *given: decoded.append(given) or right(*given))
+    right = radiance.read_picture
+    monkeypatch.setattr(radiance, "read_picture", lambda *given: decoded.append(given) or right(*given))
     manifest = describe_scene(folder)
 
     def load_kept(max_side=20, crop="object"):

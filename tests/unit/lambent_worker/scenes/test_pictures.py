@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
+from lambent_worker.scenes.mask_levels import NERO_DEPTH, read_mask
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import (
     MAX_PIXELS,
-    NERO_DEPTH,
     encoding_of,
     picture_facts,
     picture_format,
     picture_size,
-    read_coverage,
-    read_pixels,
+    read_levels,
+    read_picture,
 )
 from PIL import Image
 
@@ -40,7 +40,7 @@ def test_an_eight_bit_picture_opens_whatever_its_format(tmp_path, suffix):
     Image.fromarray(COLOUR).save(path, **({} if suffix == ".png" else options))
     assert picture_size(path) == (30, 20)
     assert encoding_of(path.name) == "srgb"
-    pixels = read_pixels(path)
+    pixels = read_levels(path)
     assert pixels.dtype == np.uint8
     difference = np.abs(pixels[..., :3].astype(int) - COLOUR).mean()
     assert difference < (0.01 if suffix in (".png", ".webp") else 10.0)
@@ -54,13 +54,13 @@ def test_a_picture_is_read_by_its_content_whatever_its_suffix(tmp_path, named, k
     pillow_heif.register_heif_opener()
     Image.fromarray(COLOUR).save(tmp_path / named, format=kind, quality=100)
     assert picture_format(tmp_path / named) == kind
-    assert np.abs(read_pixels(tmp_path / named)[..., :3].astype(int) - COLOUR).mean() < 10.0
+    assert np.abs(read_levels(tmp_path / named)[..., :3].astype(int) - COLOUR).mean() < 10.0
 
 
 NO_PICTURES = {
     b"": "it is empty",
     b"GIF89a" + b"\0" * 20: "it is a GIF",
-    b"II*\0" + b"\1" * 20: "it is a TIFF or raw file",
+    b"8BPS" + b"\0" * 20: "it is a Photoshop file",
     b"\0\0\0\x18ftypqt  " + b"\0" * 8: "it is a video",
     b"%PDF-1.7 ........": "it is a PDF",
     b"no picture at all": "it is text",
@@ -73,7 +73,7 @@ NO_PICTURES = {
 def test_what_is_no_picture_is_called_what_it_is(tmp_path, content, what):
     (tmp_path / "a.jpg").write_bytes(content)
     with pytest.raises(PictureError, match=what) as refused:
-        read_pixels(tmp_path / "a.jpg")
+        read_levels(tmp_path / "a.jpg")
     assert refused.value.code == "scene.image_not_a_picture"
 
 
@@ -89,15 +89,16 @@ def test_what_phones_add_to_a_jpeg_does_not_disturb(tmp_path):
     (tmp_path / "damaged.jpg").write_bytes(damaged)
     for name in ("mpo.jpg", "tail.jpg", "progressive.jpg", "damaged.jpg"):
         assert picture_size(tmp_path / name) == (30, 20)
-        assert np.abs(read_pixels(tmp_path / name).astype(int) - COLOUR).mean() < 10.0
+        assert np.abs(read_levels(tmp_path / name).astype(int) - COLOUR).mean() < 10.0
 
 
-def test_sixteen_bit_colours_are_reduced_to_eight(tmp_path):
+def test_sixteen_bit_colours_keep_their_precision(tmp_path):
     import cv2
 
-    deep = COLOUR.astype(np.uint16) * 257
+    deep = COLOUR.astype(np.uint16) * 257 - (COLOUR > 0)
     cv2.imwrite(str(tmp_path / "a.png"), deep[..., ::-1])
-    np.testing.assert_array_equal(read_pixels(tmp_path / "a.png"), COLOUR)
+    np.testing.assert_array_equal(read_levels(tmp_path / "a.png"), deep)
+    assert np.abs(read_picture(tmp_path / "a.png").srgb().astype(int) - COLOUR).max() <= 1
 
 
 def test_a_radiance_picture_is_linear_and_divided_by_its_exposure(tmp_path):
@@ -105,7 +106,7 @@ def test_a_radiance_picture_is_linear_and_divided_by_its_exposure(tmp_path):
     write_hdr(tmp_path / "a.hdr", radiance)
     assert picture_size(tmp_path / "a.hdr") == (9, 7)
     assert encoding_of("a.HDR") == "linear"
-    np.testing.assert_allclose(read_pixels(tmp_path / "a.hdr"), radiance / 2.0, rtol=0.1, atol=0.02)
+    np.testing.assert_allclose(read_levels(tmp_path / "a.hdr"), radiance / 2.0, rtol=0.1, atol=0.02)
     assert picture_facts(tmp_path / "a.hdr").is_finite
 
 
@@ -124,40 +125,41 @@ def test_a_damaged_radiance_picture_is_refused_with_a_reason(tmp_path, damage, c
     write_hdr(path, np.ones((7, 9, 3)))
     path.write_bytes(damage(path.read_bytes()))
     with pytest.raises(PictureError) as refused:
-        read_pixels(path)
+        read_levels(path)
     assert refused.value.code == code
 
 
-def test_sixteen_bit_grey_keeps_its_precision_as_a_mask_and_is_reduced_as_a_photograph(tmp_path):
+def test_sixteen_bit_grey_keeps_its_precision_as_a_mask_and_as_a_photograph(tmp_path):
     level = np.array([[0, 257, 32896, 65535]], dtype=np.uint16)
     Image.fromarray(level).save(tmp_path / "a.png")
-    np.testing.assert_allclose(read_coverage(tmp_path / "a.png"), level / 65535.0, atol=1e-6)
-    np.testing.assert_array_equal(read_pixels(tmp_path / "a.png")[..., 0], [[0, 1, 128, 255]])
+    np.testing.assert_allclose(read_mask(tmp_path / "a.png").coverage, level / 65535.0, atol=1e-6)
+    np.testing.assert_array_equal(read_levels(tmp_path / "a.png")[..., 0], level)
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.png").srgb()[0, :, 1], [0, 1, 128, 255])
 
 
 def test_a_depth_picture_covers_what_is_nearer_than_the_background(tmp_path):
     depth = np.array([[2.0, 14.4, 14.6, 15.0]])
     Image.fromarray(np.round(depth / 15.0 * 65535.0).astype(np.uint16)).save(tmp_path / "a.png")
-    np.testing.assert_array_equal(read_coverage(tmp_path / "a.png", NERO_DEPTH), [[1.0, 1.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(read_mask(tmp_path / "a.png", NERO_DEPTH).coverage, [[1.0, 1.0, 0.0, 0.0]])
 
 
 def test_an_opaque_picture_is_a_mask_by_its_grey_level_and_a_cut_out_one_by_its_alpha(tmp_path):
-    opaque = np.dstack([COLOUR, np.full_like(GREY, 255)])
+    opaque = np.dstack([GREY, GREY, GREY, np.full_like(GREY, 255)])
     Image.fromarray(opaque).save(tmp_path / "opaque.png")
-    expected = COLOUR.mean(axis=-1) / 255.0
-    np.testing.assert_allclose(read_coverage(tmp_path / "opaque.png"), expected, atol=1e-6)
+    expected = GREY / 255.0
+    np.testing.assert_allclose(read_mask(tmp_path / "opaque.png").coverage, expected, atol=1e-6)
     Image.fromarray(np.dstack([COLOUR, GREY])).save(tmp_path / "cut.png")
-    np.testing.assert_allclose(read_coverage(tmp_path / "cut.png"), GREY / 255.0, atol=1e-6)
+    np.testing.assert_allclose(read_mask(tmp_path / "cut.png").coverage, GREY / 255.0, atol=1e-6)
 
 
 def test_the_suffix_of_something_else_is_refused_with_those_that_are_read(tmp_path):
     (tmp_path / "a.gif").write_bytes(b"GIF89a")
-    with pytest.raises(PictureError, match="use JPEG, HEIC, PNG, WebP, EXR, HDR or a camera's raw format"):
+    with pytest.raises(PictureError, match="use JPEG, HEIC, PNG, WebP, AVIF, TIFF, EXR, HDR or"):
         picture_size(tmp_path / "a.gif")
 
 
 def test_more_pixels_than_the_limit_are_refused_by_the_header(tmp_path):
     Image.new("1", (16384, MAX_PIXELS // 16384 + 1)).save(tmp_path / "a.png")
     with pytest.raises(PictureError) as refused:
-        read_pixels(tmp_path / "a.png")
+        read_levels(tmp_path / "a.png")
     assert refused.value.code == "scene.image_too_large"

@@ -10,10 +10,10 @@ from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import (
     encoding_of,
     has_alpha,
-    is_linear,
     picture_facts,
     picture_size,
-    read_pixels,
+    read_levels,
+    read_picture,
 )
 from support.raw_files import write_dng
 
@@ -25,11 +25,11 @@ COLOURS[:, 30:] = (0.1, 0.2, 0.8)
 def test_a_dng_gives_its_linear_colours_at_half_the_sensor(tmp_path):
     write_dng(tmp_path / "a.DNG", COLOURS)
     assert picture_size(tmp_path / "a.DNG") == (30, 20)
-    pixels = read_pixels(tmp_path / "a.DNG")
+    pixels = read_levels(tmp_path / "a.DNG")
     assert pixels.dtype == np.float32
     np.testing.assert_allclose(pixels, COLOURS[::2, ::2], atol=1e-3)
     assert encoding_of("a.DNG") == "linear"
-    assert is_linear(tmp_path / "a.DNG")
+    assert read_picture(tmp_path / "a.DNG").is_linear
     assert not has_alpha(tmp_path / "a.DNG")
     assert picture_facts(tmp_path / "a.DNG").is_finite
 
@@ -37,18 +37,18 @@ def test_a_dng_gives_its_linear_colours_at_half_the_sensor(tmp_path):
 def test_an_odd_sensor_is_halved_upwards(tmp_path):
     write_dng(tmp_path / "a.dng", COLOURS[:39, :59])
     assert picture_size(tmp_path / "a.dng") == (30, 20)
-    assert read_pixels(tmp_path / "a.dng").shape == (20, 30, 3)
+    assert read_levels(tmp_path / "a.dng").shape == (20, 30, 3)
 
 
 def test_neither_the_cameras_balance_nor_the_brightest_pixel_changes_the_scale(tmp_path):
     write_dng(tmp_path / "a.dng", 0.1 * COLOURS, neutral=(0.5, 1.0, 0.7))
-    np.testing.assert_allclose(read_pixels(tmp_path / "a.dng"), 0.1 * COLOURS[::2, ::2], atol=1e-3)
+    np.testing.assert_allclose(read_levels(tmp_path / "a.dng"), 0.1 * COLOURS[::2, ::2], atol=1e-3)
 
 
 def test_the_orientation_is_told_and_not_applied(tmp_path):
     write_dng(tmp_path / "a.dng", COLOURS, orientation=6)
     assert picture_size(tmp_path / "a.dng") == (30, 20)
-    np.testing.assert_allclose(read_pixels(tmp_path / "a.dng"), COLOURS[::2, ::2], atol=1e-3)
+    np.testing.assert_allclose(read_levels(tmp_path / "a.dng"), COLOURS[::2, ::2], atol=1e-3)
     assert exif_facts(tmp_path / "a.dng").orientation == 6
 
 
@@ -101,7 +101,7 @@ def test_text_and_a_cut_off_file_are_refused_with_a_reason(tmp_path):
     (tmp_path / "cut.dng").write_bytes(content)
     for name, code in (("text.nef", "scene.image_not_a_picture"), ("cut.dng", "scene.image_broken")):
         with pytest.raises(PictureError) as refused:
-            read_pixels(tmp_path / name)
+            read_levels(tmp_path / name)
         assert refused.value.code == code
 
 
@@ -113,5 +113,5 @@ def test_more_pixels_than_the_limit_are_refused_by_the_header(tmp_path):
         content[at + 8 : at + 12] = (60000).to_bytes(4, "little")
     (tmp_path / "a.dng").write_bytes(content)
     with pytest.raises(PictureError) as refused:
-        read_pixels(tmp_path / "a.dng")
+        read_levels(tmp_path / "a.dng")
     assert refused.value.code == "scene.image_too_large"
