@@ -133,6 +133,16 @@ def test_the_stored_pixels_count_whatever_exif_says_of_their_orientation(box, tm
     assert set(solution.up_turns) == {3}
 
 
+def test_photographs_stored_as_mirror_images_are_solved_as_the_scene_was(box, tmp_path):
+    pictures, _, true = box
+    exif = Image.Exif()
+    exif[ORIENTATION] = 2
+    mirrored = [np.ascontiguousarray(picture[:, ::-1]) for picture in pictures]
+    solution, _ = solve(write(tmp_path / "photographs", mirrored, exif=exif), tmp_path / "work")
+    assert errors(solution, named(true))[0] < 0.2
+    assert set(solution.up_turns) == {0}
+
+
 def turntable(box):
     """Return pictures in which a background with texture stands still behind the box."""
     spots = ndimage.gaussian_filter(np.random.default_rng(3).normal(size=(SIDE, SIDE, 3)), (1.5, 1.5, 0.0))

@@ -201,6 +201,13 @@ def _note_exif(usable: Sequence[PhotographFigures], limits: PhotographLimits, pr
         "use the ordinary lens of the camera (on a telephone: 1x)",
         problems,
     )
+    _note(
+        "scene.mirrored",
+        [each for each in usable if each.facts.is_mirrored],
+        "photographs that are stored as mirror images, as their EXIF says, and are mirrored back",
+        "remove the EXIF orientation if writing on the object reads backwards now",
+        problems,
+    )
     cropped = [each for each in usable if _was_cropped(each, limits)]
     _note(
         "scene.exif_wrong",

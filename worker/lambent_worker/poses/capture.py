@@ -6,6 +6,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
 from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.files import digest, file_sha256, read_record, write_json
 from lambent_worker.messages import message_to_dict
@@ -14,7 +16,9 @@ from lambent_worker.poses.apart import solve_apart
 from lambent_worker.poses.photographs import IMAGES, MASKS, Photographs, find_photographs
 from lambent_worker.poses.solution import MODEL, Solution
 from lambent_worker.poses.solve import PoseProgress, PoseSettings
+from lambent_worker.scenes.exif import exif_facts
 from lambent_worker.scenes.mask_levels import write_mask
+from lambent_worker.scenes.pictures import PILLOW_FORMATS, decode, opened
 from lambent_worker.scenes.problems import Problems
 
 RECORD = "poses.json"
@@ -85,11 +89,27 @@ def _write(photographs: Photographs, solution: Solution, out: Path) -> None:
     for name in sorted(solution.camera_to_world):
         target = out / IMAGES / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(photographs.path(name), target)
+        _copy(photographs.path(name), target)
         if photographs.masked:
             write_mask(out / MASKS / f"{name}.png", photographs.coverage(name))
     assert solution.model is not None
     shutil.copytree(solution.model, out / MODEL)
+
+
+def _copy(photograph: Path, target: Path) -> None:
+    """Copy a photograph; one that is stored as a mirror image is written mirrored back, without its EXIF.
+
+    Its cameras are those of the picture as it was, and other programs read the file without looking at EXIF.
+    """
+    if photograph.suffix.lower() not in PILLOW_FORMATS or not exif_facts(photograph).is_mirrored:
+        shutil.copyfile(photograph, target)
+        return
+    with opened(photograph) as image:
+        decode(image)
+        options: dict[str, Any] = {"quality": 97, "subsampling": 0} if image.format == "JPEG" else {}
+        profile = {"icc_profile": image.info["icc_profile"]} if "icc_profile" in image.info else {}
+        mirrored = image.transpose(Image.Transpose.FLIP_LEFT_RIGHT)
+        mirrored.save(target, image.format, **options, **profile)
 
 
 def _clear(out: Path) -> None:

@@ -16,7 +16,14 @@ from numpy import ndarray
 from PIL import Image
 
 from lambent_worker.scenes.picture_error import PictureError, reason_of
-from lambent_worker.scenes.pictures import PILLOW_FORMATS, opened, picture_format, picture_size, read_picture
+from lambent_worker.scenes.pictures import (
+    PILLOW_FORMATS,
+    is_mirrored,
+    opened,
+    picture_format,
+    picture_size,
+    read_picture,
+)
 
 SURVEY_SIDE = 800
 """Longer side at which photographs with masks are looked at outside of their masks, pixels."""
@@ -134,7 +141,9 @@ def _grey(path: Path, scale: float) -> Image.Image:
         with opened(path) as image:
             # Of colours only the brightness counts here, in which another profile changes little.
             image.draft("L", (max(1, int(scale * image.width)), max(1, int(scale * image.height))))
-            return _decoded(image)
+            mirrored = is_mirrored(image)
+            grey = _decoded(image)
+            return grey.transpose(Image.Transpose.FLIP_LEFT_RIGHT) if mirrored else grey
     picture = read_picture(path)
     if picture.is_linear:
         light = picture.linear()

@@ -21,8 +21,9 @@ _MAKE, _MODEL, _ORIENTATION, _LENS = 0x010F, 0x0110, 0x0112, 0xA434
 _FOCAL_MM, _FOCAL_35MM, _ZOOM = 0x920A, 0xA405, 0xA404
 _PLANE_X, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}
-_UP = {1: 0, 2: 0, 3: 2, 4: 2, 5: 3, 6: 3, 7: 1, 8: 1}
-"""Quarter turns clockwise from the picture's upper side to where up was, by EXIF orientation."""
+_UP = {1: 0, 2: 0, 3: 2, 4: 2, 5: 1, 6: 3, 7: 3, 8: 1}
+"""Quarter turns clockwise from the upper side of the picture, as it is read, to where up was, by EXIF
+orientation. Mirror images are read mirrored back."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -42,7 +42,7 @@ def frame_mask(folder: Path, frame: scene_pb2.Frame) -> Mask | None:
 
 
 def photograph_mask(path: Path, photograph: Path, encoding: str = "") -> Mask:
-    """Return a mask in the stored rows and columns of its photograph.
+    """Return a mask in the rows and columns of its photograph, as `read_picture` gives them.
 
     A mask that was painted on the photograph as people see it is turned back by the photograph's EXIF
     orientation, and one with an orientation of its own by that. Where the sizes do not tell whether a mask
@@ -51,14 +51,17 @@ def photograph_mask(path: Path, photograph: Path, encoding: str = "") -> Mask:
     neither way is clearly better.
     """
     mask = read_mask(path, encoding)
-    taken, own = exif_facts(photograph).orientation, exif_facts(path).orientation
-    if taken == own or mask.is_as_stored:
+    taken, own = exif_facts(photograph), exif_facts(path)
+    alike = (taken.orientation, taken.is_mirrored) == (own.orientation, own.is_mirrored)
+    if alike or mask.is_as_stored:
         return mask
     width, height = picture_size(photograph)
-    upright = turned(mask.coverage, own)
-    candidates = [turned(upright, _BACK.get(taken, taken))]
-    if own == 1:
-        candidates.append(mask.coverage)
+    candidates = [
+        turned(turned(mask.coverage, own.orientation), _BACK.get(taken.orientation, taken.orientation))
+    ]
+    if own.orientation == 1 and not own.is_mirrored:
+        # A program that ignores EXIF painted on the rows and columns of the file.
+        candidates.append(mask.coverage[:, ::-1] if taken.is_mirrored else mask.coverage)
     fitting = [candidate for candidate in candidates if candidate.shape == (height, width)]
     if not fitting:
         return mask

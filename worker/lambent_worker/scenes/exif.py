@@ -15,7 +15,7 @@ from typing import Any
 from PIL import Image
 
 from lambent_worker.scenes.picture_error import PictureError
-from lambent_worker.scenes.pictures import PILLOW_FORMATS, opened, picture_format
+from lambent_worker.scenes.pictures import MIRRORED, PILLOW_FORMATS, opened, picture_format
 from lambent_worker.scenes.raw_pictures import RAW_SUFFIXES, raw_settings
 
 MAKE, MODEL, ORIENTATION, DATE = 0x010F, 0x0110, 0x0112, 0x0132
@@ -23,6 +23,8 @@ EXIF_FOLDER = 0x8769
 TIME, F_NUMBER, ISO, TAKEN, BIAS = 0x829A, 0x829D, 0x8827, 0x9003, 0x9204
 FOCAL, COMMENT, ACROSS, DOWN = 0x920A, 0x9286, 0xA002, 0xA003
 WHITE_BALANCE, ZOOM, FOCAL_35MM, LENS = 0xA403, 0xA404, 0xA405, 0xA434
+_UNMIRRORED = {2: 1, 4: 3, 5: 8, 7: 6}
+"""What is left of an orientation once left and right are exchanged."""
 _DIAGONAL_35MM = math.hypot(36.0, 24.0)
 _TIFF_STARTS = (b"II*\0", b"MM\0*")
 _TIFF_LIKE_STARTS = (b"IIRO", b"IIRS", b"IIU\0")
@@ -43,7 +45,9 @@ class ExifFacts:
     zoom."""
     digital_zoom: float = 0.0
     orientation: int = 1
-    """1 to 8; how the stored pixels are to be turned for a person. Nothing here turns them."""
+    """1, 3, 6 or 8; how pixels as `read_picture` gives them are to be turned for a person."""
+    is_mirrored: bool = False
+    """Whether the file stores a mirror image, which `read_picture` mirrors back."""
     time_s: float = 0.0
     f_number: float = 0.0
     iso: float = 0.0
@@ -158,7 +162,8 @@ def _facts(exif: dict[int, Any], tags: dict[int, Any]) -> ExifFacts:
         focal_mm=_positive(tags.get(FOCAL)),
         focal_35mm=_positive(tags.get(FOCAL_35MM)),
         digital_zoom=_positive(tags.get(ZOOM)),
-        orientation=orientation if orientation in range(1, 9) else 1,
+        orientation=_UNMIRRORED.get(orientation, orientation) if orientation in range(1, 9) else 1,
+        is_mirrored=orientation in MIRRORED,
         time_s=_positive(tags.get(TIME)),
         f_number=_positive(tags.get(F_NUMBER)),
         iso=_positive(tags.get(ISO)),

@@ -11,6 +11,7 @@ from lambent_worker.files import file_sha256
 from lambent_worker.scenes import glossy_synthetic, photographs
 from lambent_worker.scenes.coverage import frame_mask
 from lambent_worker.scenes.detect import TOLERANT_LAYOUTS, collect_scene, detect_layout
+from lambent_worker.scenes.exif import exif_facts
 from lambent_worker.scenes.frames import listed
 from lambent_worker.scenes.lost_frames import are_few
 from lambent_worker.scenes.mask_levels import Mask
@@ -169,6 +170,8 @@ def _look_at_pictures(
             if mask is not None:
                 masks[frame.mask] = mask.full, mask.is_inverted
     _compare_masks(masks, problems)
+    if manifest.layout != photographs.NAME:
+        _note_mirrored(folder, manifest, problems)
     without_cameras = photographs.lacks_cameras(manifest.frames)
     if not any(masked) and not without_cameras:
         problems.warning(
@@ -222,6 +225,24 @@ def _look_at_mask(
             frame.mask,
         )
     return mask
+
+
+def _note_mirrored(folder: Path, manifest: scene_pb2.SceneManifest, problems: Problems) -> None:
+    """Refuse photographs that are stored as mirror images: their cameras may be those of either image."""
+    mirrored = []
+    for path in (image.path for frame in manifest.frames for image in frame.images):
+        try:
+            mirrored += [path] if exif_facts(folder / path).is_mirrored else []
+        except PictureError:  # named where it was decoded
+            continue
+    if mirrored:
+        problems.error(
+            "scene.mirrored",
+            f"{listed(mirrored)}: EXIF says that these are stored as mirror images, and nothing says whether "
+            "their cameras were solved before or after mirroring them back; save them without the "
+            "orientation, or give the photographs without cameras",
+            mirrored[0],
+        )
 
 
 def _compare_masks(masks: Mapping[str, tuple[int, bool]], problems: Problems) -> None:

@@ -18,6 +18,7 @@ from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import (
     LINEAR_SUFFIXES,
     decode,
+    is_mirrored,
     opened,
     picture_format,
     picture_size,
@@ -186,7 +187,7 @@ def _palette_labels(path: Path) -> Shaped[ndarray, "height width"] | None:
         if image.mode != "P" or image.has_transparency_data:
             return None
         decode(image)
-        indices = np.asarray(image)
+        indices = np.asarray(image)[:, ::-1] if is_mirrored(image) else np.asarray(image)
         palette = np.array(image.getpalette() or [], dtype=np.int16).reshape(-1, 3)
     used = np.unique(indices)
     used = used[used < len(palette)]

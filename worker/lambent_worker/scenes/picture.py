@@ -60,6 +60,11 @@ class Picture:
             return None
         return self.levels[part] >= CLIPPED_LEVEL * np.iinfo(self.levels.dtype).max
 
+    def mirrored(self) -> Self:
+        """Return the picture with left and right exchanged."""
+        alpha = None if self.alpha is None else np.ascontiguousarray(self.alpha[:, ::-1])
+        return replace(self, levels=np.ascontiguousarray(self.levels[:, ::-1]), alpha=alpha)
+
     def resized(self, size: tuple[int, int]) -> Self:
         """Return the picture averaged to `size` (width, height): its levels as they are encoded, by alpha.
 

@@ -1,7 +1,8 @@
 """The one reading of picture files: header first, then pixels, with a limit on how many there may be.
 
 Check, cameras, masks, training and textures all take `read_picture`, so that none of them can see another
-picture than the others. Rows and columns are those of the file: no EXIF orientation is applied.
+picture than the others. Rows and columns are those of the file, for the programs that solve cameras ignore
+the EXIF orientation too; only a picture that is stored as its mirror image is mirrored back.
 """
 
 import warnings
@@ -56,6 +57,8 @@ LINEAR_SUFFIXES = (EXR_SUFFIX, HDR_SUFFIX, *RAW_SUFFIXES)
 PICTURE_SUFFIXES = (*PILLOW_FORMATS, *LINEAR_SUFFIXES)
 _EXIF_FOLDER, _INTEROPERABILITY, _COLOUR_SPACE, _INDEX = 0x8769, 0xA005, 0xA001, 1
 _ADOBE_RGB, _UNCALIBRATED = 2, 0xFFFF
+_ORIENTATION, MIRRORED = 0x0112, frozenset({2, 4, 5, 7})
+"""EXIF orientations of pictures that are stored as a mirror image, whichever way up."""
 
 
 def encoding_of(path: str) -> str:
@@ -246,7 +249,19 @@ def _encoded_picture(path: Path, side: int | None) -> Picture:
         # After the pixels: PNG may have its EXIF there.
         exif = _exif_space(image)
         space, doubt = _stated_space(path, known, image, png, exif, levels.shape[-1])
-    return Picture(levels=levels, alpha=alpha, space=space, colour_doubt=doubt)
+        mirrored = is_mirrored(image)
+    picture = Picture(levels=levels, alpha=alpha, space=space, colour_doubt=doubt)
+    return picture.mirrored() if mirrored else picture
+
+
+def is_mirrored(image: Image.Image) -> bool:
+    """Return whether EXIF says that an opened picture is stored as a mirror image."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return image.getexif().get(_ORIENTATION) in MIRRORED
+    except Exception:  # as in `_exif_space`
+        return False
 
 
 def _stated_space(

@@ -14,6 +14,7 @@ _ASSOCIATED = 1
 """ExtraSamples: alpha that colours are multiplied by. Source: TIFF 6.0, section 18."""
 _GREY, _COLOURS = (0, 1), (2,)
 """PhotometricInterpretation; 0 is grey where 0 is white."""
+_ORIENTATION, _MIRRORED = 274, (2, 4, 5, 7)
 _RAW_KINDS, _DNG_VERSION = (32803, 34892), 50706
 
 
@@ -63,6 +64,8 @@ def deep_tiff_pixels(
     colours = 1 if page.photometric in _GREY else 3
     if pixels.shape != (page.imagelength, page.imagewidth, pixels.shape[-1]) or pixels.shape[-1] < colours:
         raise PictureError("scene.image_broken", "has pixels of an unexpected shape; export it again")
+    if page.tags.valueof(_ORIENTATION) in _MIRRORED:
+        pixels = pixels[:, ::-1]
     levels = pixels[..., :colours]
     if page.photometric == 0:
         levels = (1.0 if kind.kind == "f" else np.iinfo(kind).max) - levels
