@@ -168,7 +168,7 @@ _among(
 _among("HEIC cut off", ".heic", DAMAGED, lambda: _of("HEIF")[:300])
 _among("HEIC whose boxes lie", ".heic", DAMAGED, lambda: _of("HEIF").replace(b"meta", b"mete", 1))
 _among("AVIF named HEIC", ".heic", NOT, lambda: b"\0\0\0\x20ftypavif\0\0\0\0avifmif1miafMA1B" + bytes(300))
-_among("TIFF named PNG", ".png", set(), lambda: _of("TIFF"))
+_among("TIFF named PNG that ends early", ".png", DAMAGED, lambda: _of("TIFF")[:-500])
 _among(
     "SVG named PNG",
     ".png",
@@ -273,7 +273,7 @@ _among(
 _among(
     "EXR of many parts",
     ".exr",
-    BROKEN,
+    BROKEN | LARGE,
     lambda: (
         exr_header(160, 120, version=2 | 0x1000)[:-1]
         + b"\0"

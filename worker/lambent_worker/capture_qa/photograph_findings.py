@@ -201,6 +201,14 @@ def _note_exif(usable: Sequence[PhotographFigures], limits: PhotographLimits, pr
         "use the ordinary lens of the camera (on a telephone: 1x)",
         problems,
     )
+    for doubt in sorted({each.colour_doubt for each in usable if each.colour_doubt}):
+        _note(
+            "scene.colour_profile",
+            [each for each in usable if each.colour_doubt == doubt],
+            f"photographs each of which {doubt}",
+            "export them as sRGB if they look wrong",
+            problems,
+        )
     _note(
         "scene.mirrored",
         [each for each in usable if each.facts.is_mirrored],

@@ -45,6 +45,8 @@ class PhotographFigures:
     """Standard deviation of brightness, 8-bit levels."""
     flat_share: float = 0.0
     has_alpha: bool = False
+    colour_doubt: str = ""
+    """Why its colour space is an assumption, as the end of a sentence; "" where it is none."""
     num_pictures: int = 1
     """Pictures in an animation."""
     is_panorama: bool = False
@@ -187,6 +189,7 @@ def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], portraits: 
             "deviation": float(luma.std()),
             "flat_share": measures.flat_share(shown),
             "has_alpha": bool((alpha < 1.0).any()),
+            "colour_doubt": picture.colour_doubt,
             "num_pictures": num_pictures,
             "is_panorama": is_panorama,
             "is_like_a_mask": is_like_a_mask,

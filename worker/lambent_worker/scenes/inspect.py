@@ -146,6 +146,7 @@ def _look_at_pictures(
     masked = [False]
     broken = {}
     masks: dict[str, tuple[int, bool]] = {}
+    doubts: dict[str, list[str]] = {}
     for frame in manifest.frames:
         for image in frame.images:
             announce(image.path)
@@ -155,6 +156,8 @@ def _look_at_pictures(
                 continue
             masked.append(facts.has_background)
             _note_facts(facts, image.path, frame.name, problems)
+            if facts.colour_doubt:
+                doubts.setdefault(facts.colour_doubt, []).append(image.path)
             _note_duplicate(folder, image.path, frame.name, seen, problems)
         for path in frame.truth.values():
             announce(path)
@@ -170,6 +173,12 @@ def _look_at_pictures(
             if mask is not None:
                 masks[frame.mask] = mask.full, mask.is_inverted
     _compare_masks(masks, problems)
+    for doubt, paths in doubts.items():
+        problems.warning(
+            "scene.colour_profile",
+            f"{listed(paths)}: each {doubt}; export as sRGB if they look wrong",
+            paths[0],
+        )
     if manifest.layout != photographs.NAME:
         _note_mirrored(folder, manifest, problems)
     without_cameras = photographs.lacks_cameras(manifest.frames)
@@ -297,10 +306,4 @@ def _note_facts(facts: PictureFacts, path: str, frame: str, problems: Problems) 
     if facts.is_empty:
         problems.warning(
             "scene.image_empty", f'{path} (frame "{frame}") is fully transparent; leave the frame out', path
-        )
-    if facts.colour_doubt:
-        problems.warning(
-            "scene.colour_profile",
-            f'{path} (frame "{frame}") {facts.colour_doubt}; export it as sRGB if they look wrong',
-            path,
         )

@@ -55,6 +55,7 @@ PILLOW_FORMATS = {
 EXR_SUFFIX, HDR_SUFFIX = ".exr", ".hdr"
 LINEAR_SUFFIXES = (EXR_SUFFIX, HDR_SUFFIX, *RAW_SUFFIXES)
 PICTURE_SUFFIXES = (*PILLOW_FORMATS, *LINEAR_SUFFIXES)
+_BOX = Image.Resampling.BOX
 _EXIF_FOLDER, _INTEROPERABILITY, _COLOUR_SPACE, _INDEX = 0x8769, 0xA005, 0xA001, 1
 _ADOBE_RGB, _UNCALIBRATED = 2, 0xFFFF
 _ORIENTATION, MIRRORED = 0x0112, frozenset({2, 4, 5, 7})
@@ -106,7 +107,7 @@ def read_picture(path: Path, *, side: int | None = None) -> Picture:
     elif suffix in RAW_SUFFIXES:
         picture = Picture(levels=raw_pixels(path), alpha=None, space=LINEAR)
     else:
-        picture = _encoded_picture(path, side)
+        picture = _encoded_picture(path, size if side is None else reduced_size(*size, side))
     return picture if side is None else picture.resized(reduced_size(*size, side))
 
 
@@ -227,8 +228,8 @@ def decode(image: Image.Image) -> None:
         )
 
 
-def _encoded_picture(path: Path, side: int | None) -> Picture:
-    """Return a picture of 8 or 16 bits with the space that the file states."""
+def _encoded_picture(path: Path, size: tuple[int, int]) -> Picture:
+    """Return a picture of 8 or 16 bits with the space that the file states; no smaller than `size`."""
     known = picture_format(path)
     if known == "TIFF" and deep_tiff_size(path) is not None:
         levels, alpha, profile = deep_tiff_pixels(path)
@@ -241,11 +242,11 @@ def _encoded_picture(path: Path, side: int | None) -> Picture:
         if png is not None and png.bit_depth == 16:
             levels, alpha = _sixteen_bit(path, png)
         else:
-            if side is not None and known == "JPEG":
+            if known == "JPEG" and size != image.size:
                 # A JPEG is decoded at a half, a quarter or an eighth where that is enough.
-                image.draft(None, reduced_size(*image.size, side))
+                image.draft(None, size)
             decode(image)
-            levels, alpha = _eight_bit(image, png)
+            levels, alpha = _eight_bit(image, png, size)
         # After the pixels: PNG may have its EXIF there.
         exif = _exif_space(image)
         space, doubt = _stated_space(path, known, image, png, exif, levels.shape[-1])
@@ -319,9 +320,12 @@ def _exif_space(image: Image.Image) -> tuple[ColourSpace, str]:
 
 
 def _eight_bit(
-    image: Image.Image, png: PngHeader | None
+    image: Image.Image, png: PngHeader | None, size: tuple[int, int]
 ) -> tuple[UInt8[ndarray, "height width channels"], UInt8[ndarray, "height width"] | None]:
-    """Return 8-bit levels, one or three channels, and alpha of a decoded picture."""
+    """Return 8-bit levels, one or three channels, and alpha of a decoded picture, reduced to `size`.
+
+    Not where a level is a key: those are told apart before anything is averaged.
+    """
     if image.mode == "CMYK":
         return np.asarray(cmyk_as_rgb(image)), None
     if image.mode in ("LAB", "HSV", "I", "F") or image.mode.startswith("I;"):
@@ -339,7 +343,9 @@ def _eight_bit(
     mode = image.mode
     if mode not in ("L", "LA", "RGB", "RGBA"):
         mode = "L" if mode == "1" else "RGBA" if image.has_transparency_data else "RGB"
-    pixels = np.asarray(image if mode == image.mode else image.convert(mode))
+    plain = image if mode == image.mode else image.convert(mode)
+    # Here, and not once the pixels are an array: a large picture would be in memory twice.
+    pixels = np.asarray(plain if plain.size == size else plain.resize(size, _BOX, reducing_gap=2.0))
     if mode == "L":
         return pixels[..., None], None
     if mode == "RGB":
