@@ -16,9 +16,9 @@ from numpy import ndarray
 from PIL import Image
 
 from lambent_worker.scenes.picture_error import PictureError, reason_of
+from lambent_worker.scenes.picture_statements import is_mirrored
 from lambent_worker.scenes.pictures import (
     PILLOW_FORMATS,
-    is_mirrored,
     opened,
     picture_format,
     picture_size,

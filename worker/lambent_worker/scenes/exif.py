@@ -15,7 +15,8 @@ from typing import Any
 from PIL import Image
 
 from lambent_worker.scenes.picture_error import PictureError
-from lambent_worker.scenes.pictures import MIRRORED, PILLOW_FORMATS, opened, picture_format
+from lambent_worker.scenes.picture_statements import MIRRORED
+from lambent_worker.scenes.pictures import PILLOW_FORMATS, opened, picture_format
 from lambent_worker.scenes.raw_pictures import RAW_SUFFIXES, raw_settings
 
 MAKE, MODEL, ORIENTATION, DATE = 0x010F, 0x0110, 0x0112, 0x0132

@@ -15,10 +15,10 @@ from PIL.PngImagePlugin import PngInfo
 
 from lambent_worker.scenes.picture import Picture, shares
 from lambent_worker.scenes.picture_error import PictureError
+from lambent_worker.scenes.picture_statements import is_mirrored
 from lambent_worker.scenes.pictures import (
     LINEAR_SUFFIXES,
     decode,
-    is_mirrored,
     opened,
     picture_format,
     picture_size,

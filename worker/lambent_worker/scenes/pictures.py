@@ -17,22 +17,13 @@ from jaxtyping import Shaped, UInt8
 from numpy import ndarray
 from PIL import Image
 
-from lambent_worker.scenes.colour_space import (
-    ADOBE_RGB,
-    LINEAR,
-    SRGB,
-    ColourSpace,
-    cmyk_as_rgb,
-    of_code_points,
-    of_gamma,
-    of_profile,
-)
+from lambent_worker.scenes.colour_space import LINEAR, SRGB, cmyk_as_rgb, of_profile
 from lambent_worker.scenes.exr_pictures import MAX_EXR_PIXELS, exr_has_alpha, exr_pixels, exr_size
 from lambent_worker.scenes.float_pictures import hdr_pixels, hdr_size
-from lambent_worker.scenes.heif_boxes import nclx_of
 from lambent_worker.scenes.picture import Picture
 from lambent_worker.scenes.picture_bytes import description_of_bytes, format_of_bytes
 from lambent_worker.scenes.picture_error import PictureError, reason_of
+from lambent_worker.scenes.picture_statements import is_mirrored, stated_space
 from lambent_worker.scenes.png_header import PngHeader, png_header
 from lambent_worker.scenes.raw_pictures import RAW_SUFFIXES, raw_picture_size, raw_pixels
 from lambent_worker.scenes.resample import reduced_size
@@ -56,10 +47,6 @@ EXR_SUFFIX, HDR_SUFFIX = ".exr", ".hdr"
 LINEAR_SUFFIXES = (EXR_SUFFIX, HDR_SUFFIX, *RAW_SUFFIXES)
 PICTURE_SUFFIXES = (*PILLOW_FORMATS, *LINEAR_SUFFIXES)
 _BOX = Image.Resampling.BOX
-_EXIF_FOLDER, _INTEROPERABILITY, _COLOUR_SPACE, _INDEX = 0x8769, 0xA005, 0xA001, 1
-_ADOBE_RGB, _UNCALIBRATED = 2, 0xFFFF
-_ORIENTATION, MIRRORED = 0x0112, frozenset({2, 4, 5, 7})
-"""EXIF orientations of pictures that are stored as a mirror image, whichever way up."""
 
 
 def encoding_of(path: str) -> str:
@@ -248,75 +235,10 @@ def _encoded_picture(path: Path, size: tuple[int, int]) -> Picture:
             decode(image)
             levels, alpha = _eight_bit(image, png, size)
         # After the pixels: PNG may have its EXIF there.
-        exif = _exif_space(image)
-        space, doubt = _stated_space(path, known, image, png, exif, levels.shape[-1])
+        space, doubt = stated_space(path, known, image, png, levels.shape[-1])
         mirrored = is_mirrored(image)
     picture = Picture(levels=levels, alpha=alpha, space=space, colour_doubt=doubt)
     return picture.mirrored() if mirrored else picture
-
-
-def is_mirrored(image: Image.Image) -> bool:
-    """Return whether EXIF says that an opened picture is stored as a mirror image."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return image.getexif().get(_ORIENTATION) in MIRRORED
-    except Exception:  # as in `_exif_space`
-        return False
-
-
-def _stated_space(
-    path: Path,
-    known: str,
-    image: Image.Image,
-    png: PngHeader | None,
-    exif: tuple[ColourSpace, str],
-    channels: int,
-) -> tuple[ColourSpace, str]:
-    """Return the space that a file states, in the order of its standard, and why to doubt it, or "".
-
-    PNG: cICP, iCCP, sRGB, gAMA with cHRM (W3C PNG 3rd edition, 4.3). HEIC and AVIF: profile, nclx. All
-    others: profile. EXIF counts where nothing else is stated, and sRGB where EXIF is silent too.
-    """
-    profile = b"" if image.mode == "CMYK" else bytes(image.info.get("icc_profile") or b"")
-    if png is not None and png.code_points:
-        return of_code_points(*png.code_points[:2]), ""
-    if profile:
-        return of_profile(profile, channels)
-    if png is not None and png.is_srgb:
-        return SRGB, ""
-    if png is not None and png.gamma:
-        return of_gamma(png.gamma, png.chromaticities), ""
-    if known in ("HEIF", "AVIF"):
-        nclx = nclx_of(path)
-        if nclx is not None:
-            return of_code_points(*nclx), ""
-    return exif
-
-
-def _exif_space(image: Image.Image) -> tuple[ColourSpace, str]:
-    """Return Adobe RGB where EXIF names it, as cameras do that write no profile, else sRGB; and any doubt.
-
-    Source: DCF 2.0 (CIPA DC-009), 3.4: ColorSpace "uncalibrated" with interoperability index R03. Some write
-    ColorSpace 2, and programs that copy EXIF lose the index.
-    """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            exif = image.getexif()
-            tags = exif.get_ifd(_EXIF_FOLDER)
-            index = str(exif.get_ifd(_INTEROPERABILITY).get(_INDEX, "")).strip("\0 ")
-    except Exception:  # damaged EXIF says nothing, and the picture is still a picture
-        return SRGB, ""
-    space = tags.get(_COLOUR_SPACE)
-    if space == _ADOBE_RGB or (space == _UNCALIBRATED and index == "R03"):
-        return ADOBE_RGB, ""
-    if space == _UNCALIBRATED and not index:
-        return ADOBE_RGB, (
-            "has no colour profile, and its EXIF says that its colours are not sRGB, so they are taken for "
-            "Adobe RGB"
-        )
-    return SRGB, ""
 
 
 def _eight_bit(
