@@ -16,7 +16,7 @@ from numpy import ndarray
 from PIL import Image
 
 from lambent_worker.scenes.picture_error import PictureError, reason_of
-from lambent_worker.scenes.picture_statements import is_mirrored
+from lambent_worker.scenes.picture_statements import MIRRORED, orientation_of
 from lambent_worker.scenes.pictures import (
     PILLOW_FORMATS,
     opened,
@@ -141,7 +141,7 @@ def _grey(path: Path, scale: float) -> Image.Image:
         with opened(path) as image:
             # Of colours only the brightness counts here, in which another profile changes little.
             image.draft("L", (max(1, int(scale * image.width)), max(1, int(scale * image.height))))
-            mirrored = is_mirrored(image)
+            mirrored = orientation_of(image) in MIRRORED
             grey = _decoded(image)
             return grey.transpose(Image.Transpose.FLIP_LEFT_RIGHT) if mirrored else grey
     picture = read_picture(path)

@@ -3,14 +3,14 @@
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Shaped
+from jaxtyping import Float32
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 from scipy import ndimage
 
 from lambent_worker.scenes.exif import exif_facts
 from lambent_worker.scenes.mask_levels import Mask, read_mask
-from lambent_worker.scenes.picture import box_averaged
+from lambent_worker.scenes.picture import box_averaged, turned, undoing
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import has_alpha, picture_size, read_picture
 from lambent_worker.scenes.resample import reduced_size, resampled
@@ -56,9 +56,7 @@ def photograph_mask(path: Path, photograph: Path, encoding: str = "") -> Mask:
     if alike or mask.is_as_stored:
         return mask
     width, height = picture_size(photograph)
-    candidates = [
-        turned(turned(mask.coverage, own.orientation), _BACK.get(taken.orientation, taken.orientation))
-    ]
+    candidates = [turned(turned(mask.coverage, own.orientation), undoing(taken.orientation))]
     if own.orientation == 1 and not own.is_mirrored:
         # A program that ignores EXIF painted on the rows and columns of the file.
         candidates.append(mask.coverage[:, ::-1] if taken.is_mirrored else mask.coverage)
@@ -67,17 +65,6 @@ def photograph_mask(path: Path, photograph: Path, encoding: str = "") -> Mask:
         return mask
     chosen = fitting[0] if len(fitting) == 1 else _clearest(photograph, fitting)
     return Mask(coverage=chosen, full=mask.full, is_inverted=mask.is_inverted, is_as_stored=True)
-
-
-def turned(values: Shaped[ndarray, "height width"], orientation: int) -> Shaped[ndarray, "rows columns"]:
-    """Return stored pixels as a person is to see them. Source: EXIF 2.32, Orientation."""
-    if orientation in (5, 6, 7, 8):
-        values = values.T
-    if orientation in (2, 3, 6, 7):
-        values = values[:, ::-1]
-    if orientation in (3, 4, 7, 8):
-        values = values[::-1]
-    return np.ascontiguousarray(values)
 
 
 def frame_coverage(folder: Path, frame: scene_pb2.Frame) -> Float32[ndarray, "height width"] | None:
@@ -111,10 +98,6 @@ def small_coverage(
         return None
     size = reduced_size(frame.camera.width, frame.camera.height, max_side)
     return resampled(coverage[..., None], frame.camera, size)[..., 0]
-
-
-_BACK = {6: 8, 8: 6}
-"""What undoes an orientation; every other one undoes itself."""
 
 
 def _clearest(

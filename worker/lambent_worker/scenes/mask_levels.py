@@ -13,9 +13,9 @@ from numpy import ndarray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from lambent_worker.scenes.picture import Picture, shares
+from lambent_worker.scenes.picture import Picture, shares, turned, undoing
 from lambent_worker.scenes.picture_error import PictureError
-from lambent_worker.scenes.picture_statements import is_mirrored
+from lambent_worker.scenes.picture_statements import MIRRORED, orientation_of
 from lambent_worker.scenes.pictures import (
     LINEAR_SUFFIXES,
     decode,
@@ -186,8 +186,12 @@ def _palette_labels(path: Path) -> Shaped[ndarray, "height width"] | None:
     with image:
         if image.mode != "P" or image.has_transparency_data:
             return None
+        orientation = orientation_of(image)
         decode(image)
-        indices = np.asarray(image)[:, ::-1] if is_mirrored(image) else np.asarray(image)
+        indices = np.asarray(image)
+        if image.format == "TIFF":  # which Pillow has turned
+            indices = turned(indices, undoing(orientation))
+        indices = indices[:, ::-1] if orientation in MIRRORED else indices
         palette = np.array(image.getpalette() or [], dtype=np.int16).reshape(-1, 3)
     used = np.unique(indices)
     used = used[used < len(palette)]

@@ -98,6 +98,24 @@ class Picture:
         return replace(self, levels=np.round(levels).clip(0, full).astype(self.levels.dtype), alpha=alpha)
 
 
+def turned(
+    values: Shaped[ndarray, "height width *channels"], orientation: int
+) -> Shaped[ndarray, "rows columns *channels"]:
+    """Return stored pixels as a person is to see them. Source: EXIF 2.32, Orientation."""
+    if orientation in (5, 6, 7, 8):
+        values = np.swapaxes(values, 0, 1)
+    if orientation in (2, 3, 6, 7):
+        values = values[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        values = values[::-1]
+    return np.ascontiguousarray(values)
+
+
+def undoing(orientation: int) -> int:
+    """Return the orientation that brings what people see back to the stored pixels."""
+    return {6: 8, 8: 6}.get(orientation, orientation)
+
+
 def shares(levels: Shaped[ndarray, "*shape"]) -> Float32[ndarray, "*shape"]:
     """Return levels as shares of full scale, 0..1."""
     if levels.dtype.kind == "f":

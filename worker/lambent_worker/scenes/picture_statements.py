@@ -22,14 +22,15 @@ _ORIENTATION, MIRRORED = 0x0112, frozenset({2, 4, 5, 7})
 """EXIF orientations of pictures that are stored as a mirror image, whichever way up."""
 
 
-def is_mirrored(image: Image.Image) -> bool:
-    """Return whether EXIF says that an opened picture is stored as a mirror image."""
+def orientation_of(image: Image.Image) -> int:
+    """Return the EXIF orientation of an opened picture, 1 to 8."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return image.getexif().get(_ORIENTATION) in MIRRORED
+            orientation = image.getexif().get(_ORIENTATION, 1)
     except Exception:  # as in `_exif_space`
-        return False
+        return 1
+    return orientation if orientation in range(1, 9) else 1
 
 
 def stated_space(

@@ -20,14 +20,14 @@ from PIL import Image
 from lambent_worker.scenes.colour_space import LINEAR, SRGB, cmyk_as_rgb, of_profile
 from lambent_worker.scenes.exr_pictures import MAX_EXR_PIXELS, exr_has_alpha, exr_pixels, exr_size
 from lambent_worker.scenes.float_pictures import hdr_pixels, hdr_size
-from lambent_worker.scenes.picture import Picture
+from lambent_worker.scenes.picture import Picture, turned, undoing
 from lambent_worker.scenes.picture_bytes import description_of_bytes, format_of_bytes
 from lambent_worker.scenes.picture_error import PictureError, reason_of
-from lambent_worker.scenes.picture_statements import is_mirrored, stated_space
+from lambent_worker.scenes.picture_statements import MIRRORED, orientation_of, stated_space
 from lambent_worker.scenes.png_header import PngHeader, png_header
 from lambent_worker.scenes.raw_pictures import RAW_SUFFIXES, raw_picture_size, raw_pixels
 from lambent_worker.scenes.resample import reduced_size
-from lambent_worker.scenes.tiff_pictures import deep_tiff_has_alpha, deep_tiff_pixels, deep_tiff_size
+from lambent_worker.scenes.tiff_pictures import deep_tiff_has_alpha, deep_tiff_pixels, is_deep_tiff, tiff_size
 
 MAX_PIXELS = 64 * 2**20
 """Pixels a single picture may have: 8192 x 8192."""
@@ -65,9 +65,10 @@ def picture_size(path: Path) -> tuple[int, int]:
         width, height = size_of(path)
         limit = MAX_EXR_PIXELS
     elif picture_format(path) == "TIFF":
-        width, height = deep_tiff_size(path) or _pillow_size(path)
+        width, height = tiff_size(path)
     else:
-        width, height = _pillow_size(path)
+        with opened(path) as image:
+            width, height = image.size
     if width * height > limit:
         raise PictureError(
             "scene.image_too_large",
@@ -145,7 +146,7 @@ def has_alpha(path: Path) -> bool:
     suffix = path.suffix.lower()
     if suffix in LINEAR_SUFFIXES:
         return suffix == EXR_SUFFIX and exr_has_alpha(path)
-    if picture_format(path) == "TIFF" and deep_tiff_size(path) is not None:
+    if picture_format(path) == "TIFF" and is_deep_tiff(path):
         return deep_tiff_has_alpha(path)
     with opened(path) as image:
         return image.has_transparency_data
@@ -218,7 +219,7 @@ def decode(image: Image.Image) -> None:
 def _encoded_picture(path: Path, size: tuple[int, int]) -> Picture:
     """Return a picture of 8 or 16 bits with the space that the file states; no smaller than `size`."""
     known = picture_format(path)
-    if known == "TIFF" and deep_tiff_size(path) is not None:
+    if known == "TIFF" and is_deep_tiff(path):
         levels, alpha, profile = deep_tiff_pixels(path)
         if levels.dtype.kind == "f" and not profile:
             return Picture(levels=levels, alpha=alpha, space=LINEAR)
@@ -226,17 +227,24 @@ def _encoded_picture(path: Path, size: tuple[int, int]) -> Picture:
         return Picture(levels=levels, alpha=alpha, space=space, colour_doubt=doubt)
     with opened(path) as image:
         png = _png_header(path, image) if known == "PNG" else None
+        orientation = 1
         if png is not None and png.bit_depth == 16:
             levels, alpha = _sixteen_bit(path, png)
         else:
             if known == "JPEG" and size != image.size:
                 # A JPEG is decoded at a half, a quarter or an eighth where that is enough.
                 image.draft(None, size)
+            # Pillow turns TIFF, and nothing else, by the orientation that the file states.
+            orientation = orientation_of(image) if known == "TIFF" else 1
             decode(image)
-            levels, alpha = _eight_bit(image, png, size)
+            turned_size = size if orientation < 5 else size[::-1]
+            levels, alpha = _eight_bit(image, png, turned_size)
+            levels = turned(levels, undoing(orientation))
+            alpha = None if alpha is None else turned(alpha, undoing(orientation))
         # After the pixels: PNG may have its EXIF there.
         space, doubt = stated_space(path, known, image, png, levels.shape[-1])
-        mirrored = is_mirrored(image)
+        # PNG may have its EXIF after the pixels.
+        mirrored = (orientation if orientation > 1 else orientation_of(image)) in MIRRORED
     picture = Picture(levels=levels, alpha=alpha, space=space, colour_doubt=doubt)
     return picture.mirrored() if mirrored else picture
 
@@ -264,7 +272,8 @@ def _eight_bit(
         return plain, np.where((plain == scaled).all(axis=-1), np.uint8(0), np.uint8(255))
     mode = image.mode
     if mode not in ("L", "LA", "RGB", "RGBA"):
-        mode = "L" if mode == "1" else "RGBA" if image.has_transparency_data else "RGB"
+        usual = "RGBA" if image.has_transparency_data else "RGB"
+        mode = {"1": "L", "La": "LA", "RGBa": "RGBA"}.get(mode, usual)
     plain = image if mode == image.mode else image.convert(mode)
     # Here, and not once the pixels are an array: a large picture would be in memory twice.
     pixels = np.asarray(plain if plain.size == size else plain.resize(size, _BOX, reducing_gap=2.0))
@@ -298,11 +307,6 @@ def _png_header(path: Path, image: Image.Image) -> PngHeader:
         raise PictureError(
             "scene.image_broken", f"cannot be decoded ({reason_of(error)}); export or copy it again"
         ) from error
-
-
-def _pillow_size(path: Path) -> tuple[int, int]:
-    with opened(path) as image:
-        return image.size
 
 
 @contextmanager

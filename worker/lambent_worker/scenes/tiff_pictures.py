@@ -18,16 +18,16 @@ _ORIENTATION, _MIRRORED = 274, (2, 4, 5, 7)
 _RAW_KINDS, _DNG_VERSION = (32803, 34892), 50706
 
 
-def deep_tiff_size(path: Path) -> tuple[int, int] | None:
-    """Return width and height of a TIFF with 16 or 32 bits in a channel, or None for one with fewer.
-
-    Raises `PictureError` for a file that cannot be read.
-    """
+def tiff_size(path: Path) -> tuple[int, int]:
+    """Return width and height of the stored pixels; raises `PictureError` for a file that cannot be read."""
     page = _page(path)
-    bits = page.bitspersample
-    if max(bits if isinstance(bits, tuple) else (bits,)) <= 8:
-        return None
     return page.imagewidth, page.imagelength
+
+
+def is_deep_tiff(path: Path) -> bool:
+    """Return whether a channel has 16 or 32 bits. Raises `PictureError` as `tiff_size` does."""
+    bits = _page(path).bitspersample
+    return max(bits if isinstance(bits, tuple) else (bits,)) > 8
 
 
 def deep_tiff_has_alpha(path: Path) -> bool:

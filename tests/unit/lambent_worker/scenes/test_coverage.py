@@ -8,10 +8,10 @@ from lambent_worker.scenes.coverage import (
     has_coverage,
     photograph_mask,
     small_coverage,
-    turned,
 )
 from lambent_worker.scenes.exif import exif_facts
 from lambent_worker.scenes.mask_levels import write_mask
+from lambent_worker.scenes.picture import turned
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import read_picture
 from PIL import Image

@@ -97,3 +97,24 @@ def test_a_damaged_file_is_refused(tmp_path):
     (tmp_path / "b.tif").write_bytes(b"II*\0" + bytes(40))
     with pytest.raises(PictureError):
         picture_size(tmp_path / "b.tif")
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_rows_are_those_of_the_file_and_mirror_images_are_mirrored_back(tmp_path, orientation, kind):
+    levels = (LEVELS >> 8).astype(np.uint8) if kind == np.uint8 else LEVELS
+    tifffile.imwrite(
+        tmp_path / "a.tif", levels, photometric="rgb", extratags=[(274, "H", 1, orientation, True)]
+    )
+    expected = levels[:, ::-1] if orientation in (2, 4, 5, 7) else levels
+    assert picture_size(tmp_path / "a.tif") == (16, 12)
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.tif").levels, expected)
+    assert read_picture(tmp_path / "a.tif", side=8).size == (8, 6)
+
+
+def test_grey_with_associated_alpha_is_divided(tmp_path):
+    grey = np.dstack([np.full((12, 16), 60), np.full((12, 16), 128)]).astype(np.uint8)
+    tifffile.imwrite(tmp_path / "a.tif", grey, photometric="minisblack", extrasamples=["assocalpha"])
+    found = read_picture(tmp_path / "a.tif")
+    assert abs(int(found.levels[0, 0, 0]) - 120) <= 1
+    np.testing.assert_allclose(found.coverage(), 128 / 255, atol=1e-6)
