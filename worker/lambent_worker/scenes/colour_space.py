@@ -277,7 +277,7 @@ def _srgb_curve(encoded: Float64[ndarray, "*shape"]) -> Float64[ndarray, "*shape
 def _refused_transfer(name: str) -> PictureError:
     return PictureError(
         "scene.colour_space",
-        f"is a high dynamic range picture encoded as {name}, from which light in linear units cannot be told; "
+        f"is a high dynamic range picture in {name}, from which light in linear units cannot be told; "
         "export it as sRGB or Display P3, or as EXR",
     )
 
