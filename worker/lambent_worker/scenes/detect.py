@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.errors import SceneRefusedError, UsageError
@@ -25,7 +26,7 @@ from lambent_worker.scenes.mask_folder import attach_masks
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.rig import check_rig
 from lambent_worker.scenes.silhouette_check import fit_to_silhouettes, training_silhouettes
-from lambent_worker.scenes.world import settle, stand_upright
+from lambent_worker.scenes.world import FIXED_WORLDS, bring_near, settle, stand_upright
 
 SCHEMA_VERSION = "1.0"
 
@@ -111,6 +112,7 @@ def collect_scene(
     check_names(capture.frames, problems)
     if problems.usable:  # else a picture may be left over because its camera is what is wrong
         report_extra_files(folder, capture.frames, capture.other_files, problems)
+    moved = np.eye(4) if layout in FIXED_WORLDS else bring_near(capture, problems)
     check_rig(capture.frames, problems, found_here=layout == photographs.NAME)
     set_exposures(folder, capture.frames, capture.exposures, problems)
     manifest = scene_pb2.SceneManifest(
@@ -121,6 +123,8 @@ def collect_scene(
         relight_lights=capture.relight_lights,
         frames=capture.frames,
     )
+    if not np.array_equal(moved, np.eye(4)):
+        manifest.world_from_capture[:] = moved.ravel().tolist()
     if masks is not None:
         attach_masks(manifest, folder, masks, problems)
     if problems.usable:
