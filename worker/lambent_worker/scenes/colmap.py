@@ -1,6 +1,6 @@
 """Reads a COLMAP sparse model with its photographs.
 
-    <scene>/sparse/0/ cameras.bin images.bin (or .txt)     or sparse/, or colmap/sparse/0/
+    <scene>/sparse/0/ cameras.bin images.bin (or .txt)     or another of `colmap_places`
     <scene>/images/   photographs, named as in the model
     <scene>/masks/    optional: <name>.png or <stem>.png, white is the object
 
@@ -18,25 +18,33 @@ from numpy import ndarray
 
 from lambent_worker.scenes.capture import LIGHT, Capture
 from lambent_worker.scenes.colmap_model import (
+    UNDISTORT,
     ColmapCamera,
     ColmapImage,
     ModelError,
     read_cameras,
     read_images,
 )
+from lambent_worker.scenes.colmap_places import (
+    GROUPS,
+    chosen_model,
+    images_file,
+    model_folder,
+    picture_folder,
+)
 from lambent_worker.scenes.frames import check_sizes, frame_names
 from lambent_worker.scenes.lens import LensFigures, camera_with_lens
+from lambent_worker.scenes.named_files import find_file, find_picture_file, picture_names
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import encoding_of, picture_size
 from lambent_worker.scenes.problems import Problems
-from lambent_worker.scenes.reading import inside_folder, pose_from_world_to_camera
+from lambent_worker.scenes.reading import ROOT, inside_folder, pose_from_world_to_camera
 from lambent_worker.scenes.transforms_json import scaled
 
 NAME = "colmap"
 LOOKS_LIKE = "sparse/0/images.bin or .txt"
 
-MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0")
-IMAGES, MASKS = "images", "masks"
+MASKS = "masks"
 
 
 def is_layout(folder: Path) -> bool:
@@ -44,31 +52,37 @@ def is_layout(folder: Path) -> bool:
     return model_folder(folder) is not None
 
 
-def read_capture(folder: Path, problems: Problems) -> Capture:
-    """Return all usable frames of `folder`; all problems are added to `problems`."""
-    return read_model(folder, folder, problems)
+def read_capture(folder: Path, problems: Problems, at: PurePosixPath = ROOT) -> Capture:
+    """Return all usable frames of `folder`, whose model is in its folder `at`; problems go to `problems`."""
+    return read_model(folder, folder, problems, at=at)
 
 
-def read_model(folder: Path, root: Path, problems: Problems, pictures: str = IMAGES) -> Capture:
-    """Return the frames that the sparse model below `root` has for the pictures in `folder`/`pictures`.
+def read_model(
+    folder: Path, root: Path, problems: Problems, pictures: str | None = None, at: PurePosixPath = ROOT
+) -> Capture:
+    """Return the frames that the sparse model in `root`/`at` has for the pictures in `folder`/`pictures`.
 
-    All problems are added to `problems`. Masks are those in `folder`/masks, where that is a folder.
+    Without `pictures` they are looked for. All problems are added to `problems`. Masks are those in
+    `folder`/`at`/masks, where that is a folder.
     """
     capture = Capture(name=folder.resolve().name, lights=[LIGHT], up_is_z=False)
-    model = model_folder(root)
+    model = chosen_model(root, at, problems)
     if model is None:
         problems.error(
             "scene.file_missing",
-            f"there is no images.bin or images.txt in {', '.join(MODEL_FOLDERS)}; add COLMAP's sparse model",
-            f"{MODEL_FOLDERS[0]}/images.bin",
+            f"there is no images.bin or images.txt in {', '.join(GROUPS[:-1])} or a folder in one of "
+            "these; add COLMAP's sparse model",
+            "sparse/0/images.bin",
         )
         return capture
     entries = _read_model(root, model, problems)
     if entries is None:
         return capture
     cameras, images = entries
+    if pictures is None:
+        pictures = picture_folder(folder, at, model, [image.name for image in images]).as_posix()
+    masks = (at / MASKS).as_posix() if (folder / at / MASKS).is_dir() else None
     by_camera = defaultdict(list)
-    has_masks = (folder / MASKS).is_dir()
     seen: set[str] = set()
     for image in sorted(images, key=lambda image: image.name):
         if image.name in seen:
@@ -80,7 +94,7 @@ def read_model(folder: Path, root: Path, problems: Problems, pictures: str = IMA
             continue
         seen.add(image.name)
         frame = _read_frame(folder, pictures, model, image, cameras, problems)
-        if frame is None or (has_masks and not _set_mask(folder, image.name, frame, problems)):
+        if frame is None or (masks and not _set_mask(folder, masks, image.name, frame, problems)):
             continue
         by_camera[image.camera].append(frame)
         capture.frames.append(frame)
@@ -92,23 +106,11 @@ def read_model(folder: Path, root: Path, problems: Problems, pictures: str = IMA
     return capture
 
 
-def model_folder(folder: Path) -> str | None:
-    """Return where in `folder` the sparse model lies, or None where there is none."""
-    return next(
-        (
-            place
-            for place in MODEL_FOLDERS
-            if any((folder / place / f"images{suffix}").is_file() for suffix in (".bin", ".txt"))
-        ),
-        None,
-    )
-
-
 def _read_model(
     folder: Path, model: str, problems: Problems
 ) -> tuple[dict[int, ColmapCamera], list[ColmapImage]] | None:
-    suffix = ".bin" if (folder / model / "images.bin").is_file() else ".txt"
-    paths = [f"{model}/{name}{suffix}" for name in ("cameras", "images")]
+    suffix = images_file(folder / model).suffix
+    paths = [(PurePosixPath(model) / f"{name}{suffix}").as_posix() for name in ("cameras", "images")]
     try:
         reading = paths[0]
         cameras = read_cameras(folder / paths[0])
@@ -116,9 +118,12 @@ def _read_model(
         return cameras, read_images(folder / paths[1])
     except FileNotFoundError:
         problems.error("scene.file_missing", f"{reading} does not exist; copy COLMAP's whole model", reading)
-    except (ModelError, OSError) as error:
-        reason = error if isinstance(error, ModelError) else "cannot be read"
-        problems.error("scene.metadata_unreadable", f"{reading} {reason}; export the model again", reading)
+    except ModelError as error:
+        problems.error(error.code, f"{reading} {error}; {error.advice}", reading)
+    except OSError:
+        problems.error(
+            "scene.metadata_unreadable", f"{reading} cannot be read; export the model again", reading
+        )
     return None
 
 
@@ -134,7 +139,8 @@ def _read_frame(
     clean = inside_folder(image.name, subject, problems)
     if clean is None:
         return None
-    picture = (PurePosixPath(pictures) / clean.as_posix()).as_posix()
+    named = PurePosixPath(pictures) / clean
+    picture = (find_picture_file(folder, named) or named).as_posix()
     camera = cameras.get(image.camera)
     if camera is None:
         problems.error(
@@ -193,8 +199,7 @@ def _figures(camera: ColmapCamera, subject: str, problems: Problems) -> LensFigu
     else:
         problems.error(
             "scene.lens_unsupported",
-            f"{subject} has the camera model {camera.model}, which no pinhole can stand in for; run colmap "
-            "image_undistorter and give its result",
+            f"{subject} has the camera model {camera.model}, which no pinhole can stand in for; {UNDISTORT}",
             subject,
         )
         return None
@@ -209,18 +214,18 @@ def _figures(camera: ColmapCamera, subject: str, problems: Problems) -> LensFigu
     )
 
 
-def _set_mask(folder: Path, name: str, frame: scene_pb2.Frame, problems: Problems) -> bool:
+def _set_mask(folder: Path, masks: str, name: str, frame: scene_pb2.Frame, problems: Problems) -> bool:
     """Fill in the frame's mask; return whether there is one."""
-    stem = name.rsplit(".", maxsplit=1)[0]
-    candidates = [f"{MASKS}/{name}.png", f"{MASKS}/{stem}.png", f"{MASKS}/{name}"]
-    found = next((path for path in candidates if (folder / path).is_file()), None)
+    clean = PurePosixPath(masks) / name.replace("\\", "/")
+    candidates = [clean.with_name(f"{clean.name}.png"), clean.with_suffix(".png"), *picture_names(clean)]
+    found = find_file(folder, candidates)
     if found is None:
         problems.error(
             "scene.file_missing",
             f"there is no mask {candidates[0]} (nor {candidates[1]}), but there is a folder of masks; "
             "add it, or remove the folder to take everything for the object",
-            candidates[0],
+            candidates[0].as_posix(),
         )
         return False
-    frame.mask = found
+    frame.mask = found.as_posix()
     return True

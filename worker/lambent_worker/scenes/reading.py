@@ -64,9 +64,14 @@ def read_json_object(folder: Path, name: str, problems: Problems) -> dict[str, A
 
 
 def decoded(data: bytes) -> str:
-    """Return the text of a file in UTF-8, UTF-16 or UTF-32, as editors and shells on Windows write them.
+    """Return the text of a file; see `text_encoding`. Raises `UnicodeDecodeError`."""
+    return data.decode(text_encoding(data))
 
-    UTF-8 may begin with a byte order mark; the others must. Raises `UnicodeDecodeError`.
+
+def text_encoding(start: bytes) -> str:
+    """Return how a text that begins like this is encoded: UTF-8, or what its byte order mark says.
+
+    Editors on Windows write a mark before UTF-8, and shells there UTF-16.
     """
     marks = {
         codecs.BOM_UTF32_LE: "utf-32",  # begins like the mark of UTF-16
@@ -74,8 +79,7 @@ def decoded(data: bytes) -> str:
         codecs.BOM_UTF16_LE: "utf-16",
         codecs.BOM_UTF16_BE: "utf-16",
     }
-    encoding = next((name for mark, name in marks.items() if data.startswith(mark)), "utf-8-sig")
-    return data.decode(encoding)
+    return next((name for mark, name in marks.items() if start.startswith(mark)), "utf-8-sig")
 
 
 def _object(pairs: list[tuple[str, Any]], twice: list[str]) -> dict[str, Any]:
