@@ -34,6 +34,7 @@ from lambent_worker.scenes.colmap_places import (
 )
 from lambent_worker.scenes.frames import check_sizes, frame_names
 from lambent_worker.scenes.lens import LensFigures, camera_with_lens
+from lambent_worker.scenes.links import link_out, note_links
 from lambent_worker.scenes.named_files import find_file, find_picture_file, picture_names
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import encoding_of, picture_size
@@ -111,6 +112,10 @@ def _read_model(
 ) -> tuple[dict[int, ColmapCamera], list[ColmapImage]] | None:
     suffix = images_file(folder / model).suffix
     paths = [(PurePosixPath(model) / f"{name}{suffix}").as_posix() for name in ("cameras", "images")]
+    astray = next((path for path in paths if link_out(folder, PurePosixPath(path)) is not None), None)
+    if astray is not None:
+        note_links([folder / astray], folder, problems, needed=True)
+        return None
     try:
         reading = paths[0]
         cameras = read_cameras(folder / paths[0])
@@ -140,6 +145,9 @@ def _read_frame(
     if clean is None:
         return None
     named = PurePosixPath(pictures) / clean
+    if link_out(folder, named) is not None:
+        problems.lost("scene.file_linked", f"{subject}: {named} lies behind a link out", named.as_posix())
+        return None
     picture = (find_picture_file(folder, named) or named).as_posix()
     camera = cameras.get(image.camera)
     if camera is None:
@@ -219,6 +227,10 @@ def _set_mask(folder: Path, masks: str, name: str, frame: scene_pb2.Frame, probl
     clean = PurePosixPath(masks) / name.replace("\\", "/")
     candidates = [clean.with_name(f"{clean.name}.png"), clean.with_suffix(".png"), *picture_names(clean)]
     found = find_file(folder, candidates)
+    astray = next((each for each in candidates if found is None and link_out(folder, each)), None)
+    if astray is not None:
+        problems.lost("scene.file_linked", f"{astray} lies behind a link out", astray.as_posix())
+        return False
     if found is None:
         problems.error(
             "scene.file_missing",

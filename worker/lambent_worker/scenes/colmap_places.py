@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 
 from lambent_worker.scenes.colmap_model import MAX_ENTRIES, ModelError, read_images
 from lambent_worker.scenes.frames import listed
+from lambent_worker.scenes.links import leads_inside, link_out
 from lambent_worker.scenes.named_files import find_file
 from lambent_worker.scenes.problems import Problems
 
@@ -53,8 +54,8 @@ def chosen_model(folder: Path, at: PurePosixPath, problems: Problems) -> str | N
 def picture_folder(folder: Path, at: PurePosixPath, model: str, names: Sequence[str]) -> PurePosixPath:
     """Return where in `folder` the photographs lie that the model calls `names`.
 
-    It is the first usual place that has at least half of them, seen from `at` and then from the folders around
-    it, else the one that has most.
+    It is the first usual place that has at least half of them, seen from `at` and then from the folders
+    around it, else the one that has most.
     """
     places = list(_picture_places(at, model))
     step = max(1, len(names) // _SAMPLE)
@@ -83,7 +84,7 @@ def _is_there(folder: Path, name: PurePosixPath) -> bool:
     if name.is_absolute() or ".." in name.parts:
         return False
     try:
-        return find_file(folder, [name]) is not None
+        return find_file(folder, [name]) is not None or link_out(folder, name) is not None
     except (OSError, ValueError):  # a name that no file can have
         return False
 
@@ -121,12 +122,14 @@ def _largest(folder: Path, places: Sequence[str]) -> tuple[str, dict[str, int]]:
     """Return the place with most registered photographs, and how many each has."""
     if len(places) == 1:
         return places[0], {}
-    numbers = {place: _num_images(images_file(folder / place)) for place in places}
+    numbers = {place: _num_images(folder, images_file(folder / place)) for place in places}
     return max(places, key=lambda place: numbers[place]), numbers
 
 
-def _num_images(path: Path) -> int:
+def _num_images(folder: Path, path: Path) -> int:
     """Return how many photographs a model has, 0 where it cannot be read."""
+    if not leads_inside(path, folder):
+        return 0
     try:
         if path.suffix != ".bin":
             return len(read_images(path))

@@ -21,11 +21,13 @@ from lambent_worker.scenes.capture import Capture
 from lambent_worker.scenes.exposure import set_exposures
 from lambent_worker.scenes.extent import hold_out, set_extent
 from lambent_worker.scenes.frames import check_names, report_extra_files
+from lambent_worker.scenes.links import refuse_links, settle_linked
 from lambent_worker.scenes.lost_frames import settle_lost, without_pictures
-from lambent_worker.scenes.mask_folder import attach_masks
+from lambent_worker.scenes.mask_folder import attach_masks, attach_masks_beside
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.rig import check_rig
 from lambent_worker.scenes.silhouette_check import fit_to_silhouettes, training_silhouettes
+from lambent_worker.scenes.unread_formats import note_only_unread
 from lambent_worker.scenes.world import FIXED_WORLDS, bring_near, settle, stand_upright
 
 SCHEMA_VERSION = "1.0"
@@ -46,6 +48,9 @@ READERS = {
 LAYOUTS = tuple(READERS)
 TOLERANT_LAYOUTS = frozenset({nerf_blender.NAME, nerfstudio.NAME, colmap.NAME, photographs.NAME})
 """Layouts in which a few pictures may be missing or broken; benchmarks with several lights are strict."""
+
+
+CAMERA_LAYOUTS = TOLERANT_LAYOUTS - {photographs.NAME}
 
 
 def detect_layout(folder: Path) -> str | None:
@@ -87,6 +92,10 @@ def collect_scene(
         )
         return None
     layout = layout or detect_layout(folder)
+    if layout is None and not refuse_links(folder, problems):
+        return None
+    if layout is None and not note_only_unread(folder, problems):
+        return None
     if layout is None:
         looked_for = "; ".join(f"{reader.LOOKS_LIKE} ({name})" for name, reader in READERS.items())
         problems.error(
@@ -94,14 +103,19 @@ def collect_scene(
             f"none of these was found: {looked_for}; see docs/howto/own-photographs.md",
         )
         return None
+    if layout not in TOLERANT_LAYOUTS and not refuse_links(folder, problems):
+        return None
     if layout == photographs.NAME:
         capture = photographs.read_capture(folder, problems, cameras)
-        masks = masks or photographs.folder_of_masks(folder)
     else:
         capture = READERS[layout].read_capture(folder, problems)
+    if layout in CAMERA_LAYOUTS and not settle_linked(folder, problems):
+        return None
     capture.frames = without_pictures(capture.frames, broken, problems)
     if layout in TOLERANT_LAYOUTS:
         capture.other_files |= settle_lost(capture.frames, problems)
+        if masks is None:
+            attach_masks_beside(capture.frames, folder, problems)
     if not capture.frames:
         if problems.usable:
             check_rig([], problems)

@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
+from lambent_worker.scenes.links import leads_inside
 from lambent_worker.scenes.pictures import PICTURE_SUFFIXES
 
 
@@ -22,15 +23,19 @@ def folded(name: str) -> str:
 def find_file(folder: Path, names: Iterable[PurePosixPath]) -> PurePosixPath | None:
     """Return the path below `folder` of the first of `names` that is a file there, or None.
 
-    Exact spellings of all names are tried first. A spelling that fits two files is not used: which of the
-    two is meant cannot be known.
+    Links that lead out of `folder` are no files. Exact spellings of all names are tried first. A spelling
+    that fits two files is not used: which of the two is meant cannot be known.
     """
     tried = list(names)
-    exact = next((name for name in tried if (folder / name).is_file()), None)
+    exact = next((name for name in tried if _is_there(folder, name)), None)
     if exact is not None:
         return exact
     alike = (_spelled_alike(folder, name) for name in tried)
-    return next((name for name in alike if name is not None and (folder / name).is_file()), None)
+    return next((name for name in alike if name is not None and _is_there(folder, name)), None)
+
+
+def _is_there(folder: Path, name: PurePosixPath) -> bool:
+    return (folder / name).is_file() and leads_inside(folder / name, folder)
 
 
 def find_picture_file(folder: Path, path: PurePosixPath) -> PurePosixPath | None:

@@ -13,6 +13,7 @@ from lambent_proto.v1 import scene_pb2
 from lambent_worker.scenes.capture import LIGHT, Capture
 from lambent_worker.scenes.exposure import stated_exposure
 from lambent_worker.scenes.frames import check_sizes, frame_names, listed
+from lambent_worker.scenes.links import link_out
 from lambent_worker.scenes.named_files import find_file, folded, picture_names
 from lambent_worker.scenes.pictures import encoding_of
 from lambent_worker.scenes.problems import Problems
@@ -86,6 +87,9 @@ def _read_mask(
             problems.error("scene.file_path_missing", f"{subject}: mask_path must name a picture", subject)
         return False
     found = find_file(folder, [clean, *picture_names(clean)])
+    if found is None and link_out(folder, clean) is not None:
+        problems.lost("scene.file_linked", f"{subject}: {clean} lies behind a link out", clean.as_posix())
+        return False
     if found is None:
         problems.error(
             "scene.file_missing",

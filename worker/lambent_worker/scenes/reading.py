@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy import ndarray
 
+from lambent_worker.scenes.links import link_out, note_links
 from lambent_worker.scenes.problems import Problems
 
 MAX_JSON_BYTES = 64 * 2**20
@@ -29,6 +30,9 @@ OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 def read_json_object(folder: Path, name: str, problems: Problems) -> dict[str, Any] | None:
     """Return the object in the JSON file `name` of `folder`, or None after noting why it cannot be had."""
     path = folder / name
+    if link_out(folder, PurePosixPath(name)) is not None:
+        note_links([path], folder, problems, needed=True)
+        return None
     try:
         size = path.stat().st_size
         if size > MAX_JSON_BYTES:

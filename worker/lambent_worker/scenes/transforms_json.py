@@ -8,6 +8,7 @@ from typing import Any
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.scenes.lens import LensFigures, camera_with_lens
+from lambent_worker.scenes.links import link_out
 from lambent_worker.scenes.named_files import find_picture_file, other_suffix, picture_names
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import PICTURE_SUFFIXES, picture_size
@@ -84,6 +85,10 @@ def find_picture(
         found = None if above is None else find_picture_file(folder, above)
     if found is not None:
         return found.as_posix()
+    astray = next((each for each in picture_names(clean) if link_out(folder, each) is not None), None)
+    if astray is not None:
+        problems.lost("scene.file_linked", f"{subject}: {astray} lies behind a link out", astray.as_posix())
+        return None
     other = other_suffix(folder, clean)
     if other is not None and other.suffix.lower() not in PICTURE_SUFFIXES:
         problems.lost(
