@@ -8,6 +8,8 @@ from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
 from lambent_worker.masks.photograph import SparsePoints
+from lambent_worker.scenes import colmap
+from lambent_worker.scenes.camera_places import place_of
 from lambent_worker.scenes.colmap_model import read_images
 from lambent_worker.scenes.colmap_places import images_file, model_folder
 from lambent_worker.scenes.colmap_points import read_points
@@ -28,6 +30,8 @@ def sparse_points(
     its files cannot be read.
     """
     root = cameras or folder
+    if cameras is None:
+        root = root / place_of(folder, colmap.NAME)
     place = model_folder(root)
     return None if place is None else points_of_model(root / place, manifest)
 

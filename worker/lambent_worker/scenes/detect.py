@@ -9,12 +9,14 @@ from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.scenes import (
+    camera_places,
     colmap,
     glossy_synthetic,
     nerf_blender,
     nerfstudio,
     openillumination,
     photographs,
+    polycam,
     tensoir_synthetic,
 )
 from lambent_worker.scenes.capture import Capture
@@ -42,22 +44,28 @@ READERS = {
         nerf_blender,
         nerfstudio,
         colmap,
+        polycam,
         photographs,
     )
 }
 LAYOUTS = tuple(READERS)
-TOLERANT_LAYOUTS = frozenset({nerf_blender.NAME, nerfstudio.NAME, colmap.NAME, photographs.NAME})
+CAMERA_LAYOUTS = frozenset(camera_places.READERS)
+TOLERANT_LAYOUTS = CAMERA_LAYOUTS | {photographs.NAME}
 """Layouts in which a few pictures may be missing or broken; benchmarks with several lights are strict."""
 
 
-CAMERA_LAYOUTS = TOLERANT_LAYOUTS - {photographs.NAME}
+def detect_layout(folder: Path, *, look_deeper: bool = True) -> str | None:
+    """Return the name of the layout of `folder`, or None where it is none we know.
 
-
-def detect_layout(folder: Path) -> str | None:
-    """Return the name of the layout of `folder`, or None where it is none we know."""
+    With `look_deeper` a capture may lie in a folder of it, if that is the only one.
+    """
     if not folder.is_dir():
         return None
-    return next((name for name, reader in READERS.items() if reader.is_layout(folder)), None)
+    readers = {name: reader for name, reader in READERS.items() if reader is not photographs}
+    layout = next((name for name, reader in readers.items() if reader.is_layout(folder)), None)
+    if layout is None and look_deeper:
+        layout = camera_places.deeper_layout(folder)
+    return layout or (photographs.NAME if photographs.is_layout(folder) else None)
 
 
 def require_layout(layout: str | None) -> None:
@@ -107,6 +115,12 @@ def collect_scene(
         return None
     if layout == photographs.NAME:
         capture = photographs.read_capture(folder, problems, cameras)
+        if cameras is None:
+            camera_places.note_passed_over(folder, problems)
+    elif layout in CAMERA_LAYOUTS:
+        place = camera_places.place_of(folder, layout)
+        capture = camera_places.READERS[layout].read_capture(folder, problems, place)
+        camera_places.note_deeper(place, layout, problems)
     else:
         capture = READERS[layout].read_capture(folder, problems)
     if layout in CAMERA_LAYOUTS and not settle_linked(folder, problems):

@@ -87,6 +87,9 @@ def _read_mask(
             problems.error("scene.file_path_missing", f"{subject}: mask_path must name a picture", subject)
         return False
     found = find_file(folder, [clean, *picture_names(clean)])
+    above = inside_folder(path, subject, Problems()) if found is None and at.parts else None
+    if above is not None:
+        found = find_file(folder, [above, *picture_names(above)])
     if found is None and link_out(folder, clean) is not None:
         problems.lost("scene.file_linked", f"{subject}: {clean} lies behind a link out", clean.as_posix())
         return False

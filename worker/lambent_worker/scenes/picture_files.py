@@ -13,6 +13,10 @@ from lambent_worker.scenes.unread_formats import counted, is_unread
 
 MIN_PHOTOGRAPHS = 3
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".3gp")
+MAP_FOLDERS = frozenset(
+    {"depth", "depths", "depth_maps", "depth_images", "confidence", "disparity", "normals"}
+)
+"""Folders, in lower case, of what scanning apps and programs write beside photographs."""
 ARCHIVE_SUFFIXES = (".zip", ".rar", ".7z", ".tar", ".gz")
 
 
@@ -26,7 +30,7 @@ def photographs_in(folder: Path, problems: Problems, within: Path | None = None)
     """
     files = _files(folder, within or folder, problems)
     pictures = [name for name in files if PurePosixPath(name).suffix.lower() in PICTURE_SUFFIXES]
-    photographs = photographs_among(pictures)
+    photographs = _without_maps(photographs_among(pictures), problems)
     if pictures and not photographs:
         problems.error(
             "scene.only_masks",
@@ -42,6 +46,20 @@ def photographs_in(folder: Path, problems: Problems, within: Path | None = None)
             + _advice(files),
         )
     return chosen
+
+
+def _without_maps(names: list[str], problems: Problems) -> list[str]:
+    """Return `names` without the maps that scanning apps write beside photographs, which are noted."""
+    maps = [name for name in names if MAP_FOLDERS & {part.lower() for part in PurePosixPath(name).parts[:-1]}]
+    if not maps or len(maps) == len(names):
+        return names
+    problems.warning(
+        "scene.extra_file",
+        f"{len(maps)} pictures in folders of depth or confidence are maps and no photographs "
+        f"({listed(maps)}); move them elsewhere if they are photographs",
+        maps[0],
+    )
+    return [name for name in names if name not in set(maps)]
 
 
 def pictures_below(folder: Path) -> list[str]:

@@ -1,4 +1,4 @@
-"""Links are followed as far as they stay in the capture, in the sandbox of the check too; others are named."""
+"""Links are followed as far as they stay in the capture, in the sandbox of a check too; others are named."""
 
 import shutil
 
