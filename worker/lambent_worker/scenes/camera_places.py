@@ -4,21 +4,17 @@ Cameras that are passed over without a word would be solved again, from photogra
 """
 
 import fnmatch
-import os
-from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 from lambent_worker.scenes import colmap, nerf_blender, nerfstudio, polycam
+from lambent_worker.scenes.colmap_places import folders_below, images_file, names_in
 from lambent_worker.scenes.frames import listed
-from lambent_worker.scenes.links import is_clutter
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.reading import ROOT
 from lambent_worker.scenes.rig import MIN_TRAIN_FRAMES
 
 READERS = {reader.NAME: reader for reader in (nerf_blender, nerfstudio, colmap, polycam)}
 """Layouts whose cameras may lie in a folder of the capture."""
-MAX_DEPTH, MAX_FOLDERS = 3, 2000
-"""How far cameras are looked for."""
 
 _ABOVE = (
     *("transforms.json", "transforms_train.json", "poses_bounds.npy"),
@@ -74,7 +70,7 @@ def deeper_layout(folder: Path) -> str | None:
 def deeper(folder: Path) -> list[tuple[PurePosixPath, str]]:
     """Return the folders in `folder` that have cameras, with their layout; of nested ones the outer one."""
     found: list[tuple[PurePosixPath, str]] = []
-    for place in _folders(folder):
+    for place in folders_below(folder):
         if any(place.is_relative_to(other) for other, _ in found):
             continue
         layout = next((name for name, reader in READERS.items() if reader.is_layout(folder / place)), None)
@@ -126,11 +122,13 @@ def note_passed_over(folder: Path, problems: Problems) -> None:
 
 def _note_unread(folder: Path, problems: Problems) -> None:
     found = []
-    for place in (ROOT, *_folders(folder)):
-        for name in _listed(folder / place):
+    for place in (ROOT, *folders_below(folder)):
+        for name in names_in(folder / place):
             pattern = next((each for each in _UNREAD if fnmatch.fnmatch(name.lower(), each)), None)
             if pattern is not None:
                 found.append(((place / name).as_posix(), _UNREAD[pattern]))
+            elif name == "cameras.bin" and not images_file(folder / place).is_file():
+                found.append(((place / name).as_posix(), "COLMAP, without images.bin"))
     if found:
         said = listed([f"{name} ({whose})" for name, whose in found])
         problems.warning(
@@ -139,29 +137,3 @@ def _note_unread(folder: Path, problems: Problems) -> None:
             "transforms.json, or let Lambent find them again",
             found[0][0],
         )
-
-
-def _listed(folder: Path) -> list[str]:
-    try:
-        return sorted(os.listdir(folder))
-    except OSError:
-        return []
-
-
-def _folders(folder: Path) -> Iterator[PurePosixPath]:
-    """Yield the folders below `folder`, outer ones first, without following links."""
-    waiting = [ROOT]
-    for _ in range(MAX_FOLDERS):
-        if not waiting:
-            return
-        place = waiting.pop(0)
-        if place != ROOT:
-            yield place
-        if len(place.parts) < MAX_DEPTH:
-            names = [name for name in _listed(folder / place) if not is_clutter(name)]
-            paths = [place / name for name in names]
-            waiting += [each for each in paths if _is_own_folder(folder / each)]
-
-
-def _is_own_folder(path: Path) -> bool:
-    return path.is_dir() and not path.is_symlink()

@@ -32,7 +32,7 @@ from lambent_worker.scenes.colmap_places import (
     model_folder,
     picture_folder,
 )
-from lambent_worker.scenes.frames import check_sizes, frame_names
+from lambent_worker.scenes.frames import check_sizes, frame_names, listed
 from lambent_worker.scenes.lens import LensFigures, camera_with_lens
 from lambent_worker.scenes.links import link_out, note_links
 from lambent_worker.scenes.named_files import find_file, find_picture_file, picture_names
@@ -95,10 +95,11 @@ def read_model(
             continue
         seen.add(image.name)
         frame = _read_frame(folder, pictures, model, image, cameras, problems)
-        if frame is None or (masks and not _set_mask(folder, masks, image.name, frame, problems)):
-            continue
-        by_camera[image.camera].append(frame)
-        capture.frames.append(frame)
+        if frame is not None:
+            by_camera[image.camera].append(frame)
+            capture.frames.append(frame)
+    if masks is not None:
+        _set_masks(folder, pictures, masks, capture, problems)
     for frames in by_camera.values():
         check_sizes(frames, problems)
     names = frame_names([frame.images[0].path for frame in capture.frames])
@@ -222,22 +223,39 @@ def _figures(camera: ColmapCamera, subject: str, problems: Problems) -> LensFigu
     )
 
 
-def _set_mask(folder: Path, masks: str, name: str, frame: scene_pb2.Frame, problems: Problems) -> bool:
-    """Fill in the frame's mask; return whether there is one."""
-    clean = PurePosixPath(masks) / name.replace("\\", "/")
-    candidates = [clean.with_name(f"{clean.name}.png"), clean.with_suffix(".png"), *picture_names(clean)]
-    found = find_file(folder, candidates)
-    astray = next((each for each in candidates if found is None and link_out(folder, each)), None)
-    if astray is not None:
-        problems.lost("scene.file_linked", f"{astray} lies behind a link out", astray.as_posix())
-        return False
-    if found is None:
-        problems.error(
-            "scene.file_missing",
-            f"there is no mask {candidates[0]} (nor {candidates[1]}), but there is a folder of masks; "
-            "add it, or remove the folder to take everything for the object",
-            candidates[0].as_posix(),
+def _set_masks(folder: Path, pictures: str, masks: str, capture: Capture, problems: Problems) -> None:
+    """Give the frames their masks; a few that have none are left out, else no masks are used."""
+    lacking = []
+    for frame in capture.frames:
+        picture = PurePosixPath(frame.images[0].path)
+        candidates = _mask_names(PurePosixPath(masks) / picture.relative_to(pictures))
+        found = find_file(folder, candidates)
+        astray = next((each for each in candidates if found is None and link_out(folder, each)), None)
+        if astray is not None:
+            problems.lost("scene.file_linked", f"{astray} lies behind a link out", astray.as_posix())
+        elif found is None:
+            lacking.append((frame, candidates[0]))
+        else:
+            frame.mask = found.as_posix()
+    if 2 * len(lacking) > len(capture.frames):
+        names = [frame.images[0].path for frame, _ in lacking]
+        problems.warning(
+            "scene.mask_unused",
+            f"the masks in {masks} are not used, because {len(lacking)} of {len(capture.frames)} photographs "
+            f"have none there: {listed(names)}; give one for each, or remove the folder",
+            masks,
         )
-        return False
-    frame.mask = found.as_posix()
-    return True
+        for frame in capture.frames:
+            frame.mask = ""
+        return
+    for frame, name in lacking:
+        problems.lost(
+            "scene.mask_file_missing",
+            f"{frame.images[0].path} has no mask {name}, as the others have",
+            frame.images[0].path,
+        )
+    capture.frames = [frame for frame in capture.frames if frame.mask]
+
+
+def _mask_names(clean: PurePosixPath) -> list[PurePosixPath]:
+    return [clean.with_name(f"{clean.name}.png"), clean.with_suffix(".png"), *picture_names(clean)]

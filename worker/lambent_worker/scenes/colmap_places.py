@@ -4,22 +4,29 @@ COLMAP leaves one numbered folder for each group of photographs that it could no
 `sparse/1`); other programs put the model elsewhere, and its photographs under another name.
 """
 
+import os
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 from lambent_worker.scenes.colmap_model import MAX_ENTRIES, ModelError, read_images
 from lambent_worker.scenes.frames import listed
-from lambent_worker.scenes.links import leads_inside, link_out
+from lambent_worker.scenes.links import is_clutter, leads_inside, link_out
 from lambent_worker.scenes.named_files import find_file
 from lambent_worker.scenes.problems import Problems
+from lambent_worker.scenes.reading import ROOT
 
 GROUPS = ("sparse", "colmap/sparse", "distorted/sparse", "colmap", ".")
 """Where models lie, each directly or in folders of its own; the first group that has models is used."""
 IMAGES = "images"
-PICTURE_FOLDERS = (IMAGES, "input", "image", "imgs", "photos", "rgb", "color", "images_2", "images_4")
+PICTURE_FOLDERS = (
+    *(IMAGES, "input", "image", "imgs", "photos", "rgb", "color", "frames"),
+    *("images_2", "images_4", "images_8"),
+)
 """Where photographs lie, the most likely first; the folder itself is the last."""
 MAX_MODELS = 100
+MAX_DEPTH, MAX_FOLDERS = 3, 2000
+"""How far photographs and cameras are looked for."""
 _SUFFIXES = (".bin", ".txt")
 _LEAST_IMAGE_BYTES = 73
 _COUNT = struct.Struct("<Q")
@@ -55,13 +62,14 @@ def picture_folder(folder: Path, at: PurePosixPath, model: str, names: Sequence[
     """Return where in `folder` the photographs lie that the model calls `names`.
 
     It is the first usual place that has at least half of them, seen from `at` and then from the folders
-    around it, else the one that has most.
+    around it, or another folder that has, else the one that has most.
     """
     places = list(_picture_places(at, model))
     step = max(1, len(names) // _SAMPLE)
     sample = [PurePosixPath(name.replace("\\", "/")) for name in names[::step]]
     best, most = places[0], 0
-    for place in places:
+    others = (place for place in folders_below(folder) if place not in places)
+    for place in (*places, *others):
         if not (folder / place).is_dir():
             continue
         found = sum(_is_there(folder / place, name) for name in sample)
@@ -78,6 +86,32 @@ def _picture_places(at: PurePosixPath, model: str) -> Iterable[PurePosixPath]:
     for base in (at, *at.parents):
         yield from (base / name for name in (*first, *PICTURE_FOLDERS))
         yield base
+
+
+def folders_below(folder: Path) -> Iterator[PurePosixPath]:
+    """Yield the folders below `folder`, outer ones first, `MAX_DEPTH` deep and without following links."""
+    waiting = [ROOT]
+    for _ in range(MAX_FOLDERS):
+        if not waiting:
+            return
+        place = waiting.pop(0)
+        if place != ROOT:
+            yield place
+        if len(place.parts) < MAX_DEPTH:
+            paths = [place / name for name in names_in(folder / place) if not is_clutter(name)]
+            waiting += [each for each in paths if _is_own_folder(folder / each)]
+
+
+def names_in(folder: Path) -> list[str]:
+    """Return the names in a folder in order; none where it cannot be read."""
+    try:
+        return sorted(os.listdir(folder))
+    except OSError:
+        return []
+
+
+def _is_own_folder(path: Path) -> bool:
+    return path.is_dir() and not path.is_symlink()
 
 
 def _is_there(folder: Path, name: PurePosixPath) -> bool:

@@ -194,7 +194,7 @@ def pose_from_numbers(value: object, subject: str, problems: Problems) -> Float6
             subject,
         )
         return None
-    matrix = matrix.reshape(4, 4)
+    matrix = _normalized(matrix.reshape(4, 4))
     largest = np.abs(matrix).max() if np.isfinite(matrix).all() else np.inf
     if largest > MAX_COORDINATE or np.abs(matrix[:3, :3]).max() > 1e6:
         problems.error(
@@ -205,6 +205,13 @@ def pose_from_numbers(value: object, subject: str, problems: Problems) -> Float6
         )
         return None
     return _rigid(matrix, subject, problems)
+
+
+def _normalized(matrix: Float64[ndarray, "4 4"]) -> Float64[ndarray, "4 4"]:
+    """Return a matrix of homogeneous coordinates with 1 at its end: some programs scale all of it."""
+    end = matrix[3, 3]
+    is_scaled = np.isfinite(matrix).all() and not matrix[3, :3].any() and 1e-9 < end < 1e9
+    return matrix / end if is_scaled and end != 1.0 else matrix
 
 
 def pose_from_world_to_camera(

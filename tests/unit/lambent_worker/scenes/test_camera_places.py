@@ -96,13 +96,16 @@ def test_cameras_beside_the_folder_that_was_given_are_named(tmp_path, layout):
     assert 'give the folder "scene"' in message
 
 
-FILES = ("poses_bounds.npy", "cameras_sphere.npz", "cameras.xml", "sfm/scene.sfm", "reconstruction.json")
+FILES = (
+    *("sparse/0/cameras.bin", "poses_bounds.npy", "cameras_sphere.npz", "cameras.xml", "sfm/scene.sfm"),
+    "reconstruction.json",
+)
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_cameras_in_a_form_that_is_not_read_are_named(tmp_path, name):
     write_views(tmp_path / "scene" / "images")
-    (tmp_path / "scene" / name).parent.mkdir(exist_ok=True)
+    (tmp_path / "scene" / name).parent.mkdir(exist_ok=True, parents=True)
     (tmp_path / "scene" / name).touch()
     (finding,) = looked_at(tmp_path / "scene")[1]
     assert (finding.code, finding.subject) == ("scene.cameras_unused", name)

@@ -195,11 +195,26 @@ def test_half_a_model_is_an_error_that_names_the_other_half(tmp_path):
     assert (finding.code, finding.subject) == ("scene.file_missing", "sparse/0/cameras.bin")
 
 
-def test_a_folder_of_masks_must_have_one_for_every_photograph(tmp_path):
+def test_a_photograph_without_a_mask_is_left_out_where_most_have_one(tmp_path):
     capture = ColmapTextFolder(tmp_path / "scene")
     capture.mask(3).unlink()
-    finding = only(capture.folder)
-    assert (finding.code, finding.subject) == ("scene.file_missing", "masks/IMG_0003.png.png")
+    report, manifest = inspect_capture(capture.folder)
+    assert report.usable
+    assert [each.code for each in report.findings] == ["scene.pictures_left_out"]
+    assert "images/IMG_0003.png has no mask masks/IMG_0003.png.png" in report.findings[0].message
+    assert len(manifest.frames) == NUM_VIEWS - 1
+    assert all(frame.mask for frame in manifest.frames)
+
+
+def test_masks_that_most_photographs_lack_are_not_used(tmp_path):
+    capture = ColmapTextFolder(tmp_path / "scene")
+    for index in range(NUM_VIEWS // 2 + 1):
+        capture.mask(index).unlink()
+    report, manifest = inspect_capture(capture.folder)
+    assert report.usable
+    assert "scene.mask_unused" in {each.code for each in report.findings}
+    assert len(manifest.frames) == NUM_VIEWS
+    assert not any(frame.mask for frame in manifest.frames)
 
 
 def test_masks_may_be_named_by_the_stem(tmp_path):

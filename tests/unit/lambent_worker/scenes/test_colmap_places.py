@@ -89,7 +89,7 @@ def test_a_model_that_cannot_be_read_does_not_hide_one_that_can(tmp_path):
     assert describe_scene(capture.folder) == before
 
 
-@pytest.mark.parametrize("name", ["input", "image", "photos", "images_4", "."])
+@pytest.mark.parametrize("name", ["input", "image", "photos", "images_4", "frames", "mine/all", "."])
 def test_the_photographs_may_lie_in_any_usual_folder(tmp_path, name):
     capture = ColmapTextFolder(tmp_path / "scene")
     shutil.copytree(capture.folder / "images", capture.folder / name, dirs_exist_ok=True)

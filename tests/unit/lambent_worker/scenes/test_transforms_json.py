@@ -90,6 +90,16 @@ def test_a_pose_may_have_three_rows(capture):
     assert describe_scene(folder) == before
 
 
+def test_a_pose_may_be_scaled_as_a_whole(capture):
+    folder, file = capture
+    before = describe_scene(folder)
+    transforms = json.loads(file.read_text())
+    for frame in transforms["frames"]:
+        frame["transform_matrix"] = [[value / 1024 for value in row] for row in frame["transform_matrix"]]
+    file.write_text(json.dumps(transforms))
+    assert describe_scene(folder) == before
+
+
 def test_a_pose_of_four_rows_of_three_is_refused(tmp_path):
     folder = write_blender(tmp_path)
     transforms = read_transforms(folder)
