@@ -71,12 +71,17 @@ def deeper(folder: Path) -> list[tuple[PurePosixPath, str]]:
     """Return the folders in `folder` that have cameras, with their layout; of nested ones the outer one."""
     found: list[tuple[PurePosixPath, str]] = []
     for place in folders_below(folder):
-        if any(place.is_relative_to(other) for other, _ in found):
+        if any(place.is_relative_to(other) for other, _ in found) or _is_of_a_run(folder / place):
             continue
         layout = next((name for name, reader in READERS.items() if reader.is_layout(folder / place)), None)
         if layout is not None:
             found.append((place, layout))
     return found
+
+
+def _is_of_a_run(folder: Path) -> bool:
+    """Return whether a folder has cameras that a run found, which it finds anew where they are stale."""
+    return (folder / "cameras.json").is_file() and (folder / "sparse").is_dir()
 
 
 def note_deeper(place: PurePosixPath, layout: str, problems: Problems) -> None:
@@ -125,7 +130,7 @@ def _note_unread(folder: Path, problems: Problems) -> None:
     for place in (ROOT, *folders_below(folder)):
         for name in names_in(folder / place):
             pattern = next((each for each in _UNREAD if fnmatch.fnmatch(name.lower(), each)), None)
-            if pattern is not None:
+            if pattern is not None and not _is_of_a_run(folder / place):
                 found.append(((place / name).as_posix(), _UNREAD[pattern]))
             elif name == "cameras.bin" and not images_file(folder / place).is_file():
                 found.append(((place / name).as_posix(), "COLMAP, without images.bin"))

@@ -122,6 +122,16 @@ def test_the_points_of_a_model_in_a_folder_are_found(tmp_path):
     assert len(found.xyz) == 1
 
 
+def test_cameras_that_a_run_has_found_are_not_those_of_the_capture(tmp_path):
+    capture = ColmapTextFolder(tmp_path / "scene")
+    found = capture.folder / "run" / "cameras"
+    found.mkdir(parents=True)
+    (capture.folder / "sparse").rename(found / "sparse")
+    (found / "cameras.json").write_text("{}")
+    assert detect_layout(capture.folder) == "photographs"
+    assert not looked_at(capture.folder)[1]
+
+
 def test_captures_inside_of_captures_are_one(tmp_path):
     ColmapTextFolder(tmp_path / "a")
     write_tensoir(tmp_path / "b")
