@@ -12,7 +12,8 @@ MAX_PART_BYTES = 255
 # Pictures, poses and tables. Anything else is never stored, let alone loaded.
 SCENE_SUFFIXES = frozenset(
     {
-        *(".bmp", ".exr", ".hdr", ".heic", ".heif", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"),
+        *(".avif", ".bmp", ".exr", ".hdr", ".heic", ".heif", ".jpeg", ".jpg", ".png", ".tif", ".tiff"),
+        ".webp",
         # Raw formats of cameras, for a worker with the extra `raw`.
         *(".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".srf", ".sr2", ".raf", ".orf", ".rw2"),
         *(".pef", ".srw", ".x3f", ".3fr", ".fff", ".iiq", ".erf", ".mrw", ".rwl", ".raw"),

@@ -1,8 +1,7 @@
 """Uploading a scene: plan, send what is missing, commit. Run again, it sends only what is still missing."""
 
 import hashlib
-import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -25,22 +24,14 @@ ARCHIVES = {
 def list_files(folder: Path, progress: TransferProgress = ignore_progress) -> tuple[FileEntry, ...]:
     """Return every file of a scene folder, sorted by path, with sizes and hashes.
 
-    Names that begin with a dot are left out. Symbolic links are refused (`scene.link`): what they
-    point at may lie outside the folder.
+    Names that begin with a dot are left out. Symbolic links are followed as long as they stay in the folder;
+    others are refused (`scene.link`).
     """
     if not folder.is_dir():
         raise UsageProblemError(
             "scene.not_a_folder", f"{folder} is not a folder or archive", "give the folder of one scene"
         )
-    paths = []
-    for root, folders, names in os.walk(folder):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        for name in [*folders, *names]:
-            if (Path(root) / name).is_symlink():
-                raise UsageProblemError(
-                    "scene.link", f"{Path(root) / name} is a symbolic link", "copy the file itself there"
-                )
-        paths += [Path(root) / name for name in names if not name.startswith(".")]
+    paths = list(_files(folder, folder.resolve(), ()))
     if not paths:
         raise UsageProblemError("scene.empty", f"{folder} holds no files", "give the folder of one scene")
     total_bytes = sum(path.stat().st_size for path in paths)
@@ -52,6 +43,31 @@ def list_files(folder: Path, progress: TransferProgress = ignore_progress) -> tu
         done_bytes += size_bytes
         progress("hash", done_bytes, total_bytes)
     return tuple(entries)
+
+
+def _files(folder: Path, root: Path, above: tuple[Path, ...]) -> Iterator[Path]:
+    """Yield the files below `folder`, following links inside of `root`; `above` are folders on the way."""
+    above = (*above, folder.resolve())
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith("."):
+            continue
+        if path.is_symlink() and not _leads_inside(path, root):
+            raise UsageProblemError(
+                "scene.link",
+                f"{path} is a symbolic link that leads nowhere or out of the folder",
+                "copy the file itself there",
+            )
+        if not path.is_dir():
+            yield path
+        elif path.resolve() not in above:  # a link in a circle adds nothing
+            yield from _files(path, root, above)
+
+
+def _leads_inside(path: Path, root: Path) -> bool:
+    try:
+        return path.resolve(strict=True).is_relative_to(root)
+    except (OSError, RuntimeError):  # nowhere, or in a circle
+        return False
 
 
 def content_sha256(entries: tuple[FileEntry, ...]) -> str:

@@ -90,6 +90,26 @@ def test_a_symbolic_link_in_a_scene_is_refused(client, scene_folder, tmp_path):
         client.push(scene_folder)
 
 
+def test_links_that_stay_in_a_scene_are_sent_as_what_they_lead_to(scene_folder):
+    before = {entry.path: entry.sha256 for entry in list_files(scene_folder)}
+    (scene_folder / "again").symlink_to(scene_folder)
+    (scene_folder / "copy.json").symlink_to("scene.json")
+    (scene_folder / "nested").mkdir()
+    (scene_folder / "nested" / "folder").symlink_to("../deep", target_is_directory=True)
+    (scene_folder / "deep").mkdir()
+    (scene_folder / "deep" / "a.png").write_bytes(b"a")
+    after = {entry.path: entry.sha256 for entry in list_files(scene_folder)}
+    assert set(after) - set(before) == {"copy.json", "deep/a.png", "nested/folder/a.png"}
+    assert after["copy.json"] == before["scene.json"]
+
+
+@pytest.mark.parametrize("target", ["nowhere", "..", "loop"])
+def test_links_that_lead_out_or_nowhere_are_refused(scene_folder, target):
+    (scene_folder / "loop").symlink_to(target)
+    with pytest.raises(UsageProblemError, match=r"scene\.link.*loop"):
+        list_files(scene_folder)
+
+
 def test_an_empty_folder_a_missing_one_and_an_odd_file_are_usage_errors(client, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "scene.rar").write_bytes(b"x")

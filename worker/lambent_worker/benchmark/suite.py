@@ -106,4 +106,4 @@ def find_environments(suite: Path, given: Path | None) -> Path | None:
 
 def _has_cameras(folder: Path) -> bool:
     """Return whether a folder is a capture with cameras, so that it can be compared with its truth."""
-    return detect_layout(folder) not in (None, photographs.NAME)
+    return detect_layout(folder, look_deeper=False) not in (None, photographs.NAME)

@@ -14,6 +14,7 @@ from lambent_worker.scenes.detect import collect_scene
 from lambent_worker.scenes.inspect import note_unsupported
 from lambent_worker.scenes.picture_error import NOTHING_SKIPPED
 from lambent_worker.scenes.problems import Problems
+from lambent_worker.scenes.unread_formats import note_unread
 
 SCHEMA_VERSION = "1.0"
 
@@ -47,6 +48,7 @@ def check_photographs(
     problems = Problems()
     manifest = collect_scene(folder, photographs.NAME, problems, masks)
     note_unsupported(folder, set(), problems)
+    note_unread(folder, problems)
     frames = [] if manifest is None else list(manifest.frames)
     names = {frame.images[0].path: frame.name for frame in frames}
     seen = None

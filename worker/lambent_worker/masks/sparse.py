@@ -8,9 +8,12 @@ from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
 from lambent_worker.masks.photograph import SparsePoints
-from lambent_worker.scenes.colmap import model_folder
+from lambent_worker.scenes import colmap
+from lambent_worker.scenes.camera_places import place_of
 from lambent_worker.scenes.colmap_model import read_images
+from lambent_worker.scenes.colmap_places import images_file, model_folder
 from lambent_worker.scenes.colmap_points import read_points
+from lambent_worker.scenes.named_files import folded
 
 _MOST_ERROR_PX = 2.0
 """Points that are seen further from where they should be are left out."""
@@ -27,6 +30,8 @@ def sparse_points(
     its files cannot be read.
     """
     root = cameras or folder
+    if cameras is None:
+        root = root / place_of(folder, colmap.NAME)
     place = model_folder(root)
     return None if place is None else points_of_model(root / place, manifest)
 
@@ -37,10 +42,10 @@ def points_of_model(model: Path, manifest: scene_pb2.SceneManifest) -> SparsePoi
     if points is None:
         return None
     frames = [frame for frame in manifest.frames if frame.images]
-    numbers = {frame.images[0].path: number for number, frame in enumerate(frames)}
+    numbers = {folded(frame.images[0].path): number for number, frame in enumerate(frames)}
     images = {}
-    for image in read_images(model / f"images{'.bin' if (model / 'images.bin').is_file() else '.txt'}"):
-        name = image.name
+    for image in read_images(images_file(model)):
+        name = folded(image.name.replace("\\", "/"))
         number = next((i for path, i in numbers.items() if path == name or path.endswith(f"/{name}")), None)
         if number is not None:
             images[image.number] = (number, image.position)

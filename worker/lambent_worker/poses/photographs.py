@@ -10,7 +10,8 @@ from numpy import ndarray
 from lambent_worker.poses.features import COVERED
 from lambent_worker.scenes.coverage import alpha_of, photograph_mask
 from lambent_worker.scenes.frames import frame_names, listed
-from lambent_worker.scenes.mask_folder import attach_masks
+from lambent_worker.scenes.mask_folder import attach_masks, masks_beside
+from lambent_worker.scenes.photographs import folder_of_pictures
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.picture_files import MIN_PHOTOGRAPHS, photographs_in
 from lambent_worker.scenes.pictures import picture_size, read_picture
@@ -55,18 +56,17 @@ class Photographs:
 def find_photographs(folder: Path, masks_dir: Path | None, problems: Problems) -> Photographs | None:
     """Return the photographs in `folder`, or in its `images/`, with masks; None after noting what is wrong.
 
-    Masks are the files in `masks_dir`, else those in `folder`/masks next to `images/`, else the photographs'
-    own alpha. All photographs have a mask, or none. Files that are no pictures are left out with a warning
-    while most are.
+    Masks are the files in `masks_dir`, else those beside the photographs, else the photographs' own alpha.
+    All photographs have a mask, or none. Files that are no pictures are left out with a warning while most
+    are.
     """
-    root = folder / IMAGES if (folder / IMAGES).is_dir() else folder
-    if masks_dir is None and root != folder and (folder / MASKS).is_dir():
-        masks_dir = folder / MASKS
-    found = (root / name for name in photographs_in(root, problems))
+    root = folder_of_pictures(folder)
+    found = (root / name for name in photographs_in(root, problems, within=folder))
     paths = [path for path in found if masks_dir is None or not path.is_relative_to(masks_dir)]
     if not problems.usable:
         return None
-    names, cut_out = _readable(root, paths, problems, look_at_alpha=masks_dir is None)
+    beside = {} if masks_dir is not None else _masks_beside(paths, folder, problems)
+    names, cut_out = _readable(root, paths, problems, look_at_alpha=masks_dir is None and not beside)
     if len(names) < MIN_PHOTOGRAPHS:
         problems.error(
             "scene.too_few_images",
@@ -81,7 +81,9 @@ def find_photographs(folder: Path, masks_dir: Path | None, problems: Problems) -
             f"not {listed(lacking)}; cut the object out of all or of none",
             lacking[0],
         )
-    masks = {} if masks_dir is None else _masks(names, root, masks_dir, problems)
+    masks = {name: beside[root / name] for name in names} if beside else {}
+    if masks_dir is not None:
+        masks = _masks(names, root, masks_dir, problems)
     if not problems.usable:
         return None
     return Photographs(folder=root, names=names, masks=masks, cut_out=bool(cut_out) and all(cut_out.values()))
@@ -130,6 +132,12 @@ def _readable(
 def _is_cut_out(path: Path) -> bool:
     alpha = alpha_of(path)
     return alpha is not None and bool((alpha < alpha.max()).any())
+
+
+def _masks_beside(paths: list[Path], folder: Path, problems: Problems) -> dict[Path, Path]:
+    names = [path.relative_to(folder).as_posix() for path in paths]
+    masks = masks_beside(folder, names, problems)
+    return {folder / name: folder / mask for name, mask in masks.items()}
 
 
 def _masks(names: tuple[str, ...], root: Path, masks_dir: Path, problems: Problems) -> dict[str, Path]:

@@ -1,6 +1,6 @@
 """Reads a COLMAP sparse model with its photographs.
 
-    <scene>/sparse/0/ cameras.bin images.bin (or .txt)     or sparse/, or colmap/sparse/0/
+    <scene>/sparse/0/ cameras.bin images.bin (or .txt)     or another of `colmap_places`
     <scene>/images/   photographs, named as in the model
     <scene>/masks/    optional: <name>.png or <stem>.png, white is the object
 
@@ -18,25 +18,34 @@ from numpy import ndarray
 
 from lambent_worker.scenes.capture import LIGHT, Capture
 from lambent_worker.scenes.colmap_model import (
+    UNDISTORT,
     ColmapCamera,
     ColmapImage,
     ModelError,
     read_cameras,
     read_images,
 )
-from lambent_worker.scenes.frames import check_sizes, frame_names
+from lambent_worker.scenes.colmap_places import (
+    GROUPS,
+    chosen_model,
+    images_file,
+    model_folder,
+    picture_folder,
+)
+from lambent_worker.scenes.frames import check_sizes, frame_names, listed
 from lambent_worker.scenes.lens import LensFigures, camera_with_lens
+from lambent_worker.scenes.links import link_out, note_links
+from lambent_worker.scenes.named_files import find_file, find_picture_file, picture_names
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import encoding_of, picture_size
 from lambent_worker.scenes.problems import Problems
-from lambent_worker.scenes.reading import inside_folder, pose_from_world_to_camera
+from lambent_worker.scenes.reading import ROOT, inside_folder, pose_from_world_to_camera
 from lambent_worker.scenes.transforms_json import scaled
 
 NAME = "colmap"
 LOOKS_LIKE = "sparse/0/images.bin or .txt"
 
-MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0")
-IMAGES, MASKS = "images", "masks"
+MASKS = "masks"
 
 
 def is_layout(folder: Path) -> bool:
@@ -44,31 +53,37 @@ def is_layout(folder: Path) -> bool:
     return model_folder(folder) is not None
 
 
-def read_capture(folder: Path, problems: Problems) -> Capture:
-    """Return all usable frames of `folder`; all problems are added to `problems`."""
-    return read_model(folder, folder, problems)
+def read_capture(folder: Path, problems: Problems, at: PurePosixPath = ROOT) -> Capture:
+    """Return all usable frames of `folder`, whose model is in its folder `at`; problems go to `problems`."""
+    return read_model(folder, folder, problems, at=at)
 
 
-def read_model(folder: Path, root: Path, problems: Problems, pictures: str = IMAGES) -> Capture:
-    """Return the frames that the sparse model below `root` has for the pictures in `folder`/`pictures`.
+def read_model(
+    folder: Path, root: Path, problems: Problems, pictures: str | None = None, at: PurePosixPath = ROOT
+) -> Capture:
+    """Return the frames that the sparse model in `root`/`at` has for the pictures in `folder`/`pictures`.
 
-    All problems are added to `problems`. Masks are those in `folder`/masks, where that is a folder.
+    Without `pictures` they are looked for. All problems are added to `problems`. Masks are those in
+    `folder`/`at`/masks, where that is a folder.
     """
     capture = Capture(name=folder.resolve().name, lights=[LIGHT], up_is_z=False)
-    model = model_folder(root)
+    model = chosen_model(root, at, problems)
     if model is None:
         problems.error(
             "scene.file_missing",
-            f"there is no images.bin or images.txt in {', '.join(MODEL_FOLDERS)}; add COLMAP's sparse model",
-            f"{MODEL_FOLDERS[0]}/images.bin",
+            f"there is no images.bin or images.txt in {', '.join(GROUPS[:-1])} or a folder in one of "
+            "these; add COLMAP's sparse model",
+            "sparse/0/images.bin",
         )
         return capture
     entries = _read_model(root, model, problems)
     if entries is None:
         return capture
     cameras, images = entries
+    if pictures is None:
+        pictures = picture_folder(folder, at, model, [image.name for image in images]).as_posix()
+    masks = (at / MASKS).as_posix() if (folder / at / MASKS).is_dir() else None
     by_camera = defaultdict(list)
-    has_masks = (folder / MASKS).is_dir()
     seen: set[str] = set()
     for image in sorted(images, key=lambda image: image.name):
         if image.name in seen:
@@ -80,10 +95,11 @@ def read_model(folder: Path, root: Path, problems: Problems, pictures: str = IMA
             continue
         seen.add(image.name)
         frame = _read_frame(folder, pictures, model, image, cameras, problems)
-        if frame is None or (has_masks and not _set_mask(folder, image.name, frame, problems)):
-            continue
-        by_camera[image.camera].append(frame)
-        capture.frames.append(frame)
+        if frame is not None:
+            by_camera[image.camera].append(frame)
+            capture.frames.append(frame)
+    if masks is not None:
+        _set_masks(folder, pictures, masks, capture, problems)
     for frames in by_camera.values():
         check_sizes(frames, problems)
     names = frame_names([frame.images[0].path for frame in capture.frames])
@@ -92,23 +108,15 @@ def read_model(folder: Path, root: Path, problems: Problems, pictures: str = IMA
     return capture
 
 
-def model_folder(folder: Path) -> str | None:
-    """Return where in `folder` the sparse model lies, or None where there is none."""
-    return next(
-        (
-            place
-            for place in MODEL_FOLDERS
-            if any((folder / place / f"images{suffix}").is_file() for suffix in (".bin", ".txt"))
-        ),
-        None,
-    )
-
-
 def _read_model(
     folder: Path, model: str, problems: Problems
 ) -> tuple[dict[int, ColmapCamera], list[ColmapImage]] | None:
-    suffix = ".bin" if (folder / model / "images.bin").is_file() else ".txt"
-    paths = [f"{model}/{name}{suffix}" for name in ("cameras", "images")]
+    suffix = images_file(folder / model).suffix
+    paths = [(PurePosixPath(model) / f"{name}{suffix}").as_posix() for name in ("cameras", "images")]
+    astray = next((path for path in paths if link_out(folder, PurePosixPath(path)) is not None), None)
+    if astray is not None:
+        note_links([folder / astray], folder, problems, needed=True)
+        return None
     try:
         reading = paths[0]
         cameras = read_cameras(folder / paths[0])
@@ -116,9 +124,12 @@ def _read_model(
         return cameras, read_images(folder / paths[1])
     except FileNotFoundError:
         problems.error("scene.file_missing", f"{reading} does not exist; copy COLMAP's whole model", reading)
-    except (ModelError, OSError) as error:
-        reason = error if isinstance(error, ModelError) else "cannot be read"
-        problems.error("scene.metadata_unreadable", f"{reading} {reason}; export the model again", reading)
+    except ModelError as error:
+        problems.error(error.code, f"{reading} {error}; {error.advice}", reading)
+    except OSError:
+        problems.error(
+            "scene.metadata_unreadable", f"{reading} cannot be read; export the model again", reading
+        )
     return None
 
 
@@ -134,7 +145,11 @@ def _read_frame(
     clean = inside_folder(image.name, subject, problems)
     if clean is None:
         return None
-    picture = (PurePosixPath(pictures) / clean.as_posix()).as_posix()
+    named = PurePosixPath(pictures) / clean
+    if link_out(folder, named) is not None:
+        problems.lost("scene.file_linked", f"{subject}: {named} lies behind a link out", named.as_posix())
+        return None
+    picture = (find_picture_file(folder, named) or named).as_posix()
     camera = cameras.get(image.camera)
     if camera is None:
         problems.error(
@@ -193,8 +208,7 @@ def _figures(camera: ColmapCamera, subject: str, problems: Problems) -> LensFigu
     else:
         problems.error(
             "scene.lens_unsupported",
-            f"{subject} has the camera model {camera.model}, which no pinhole can stand in for; run colmap "
-            "image_undistorter and give its result",
+            f"{subject} has the camera model {camera.model}, which no pinhole can stand in for; {UNDISTORT}",
             subject,
         )
         return None
@@ -209,18 +223,39 @@ def _figures(camera: ColmapCamera, subject: str, problems: Problems) -> LensFigu
     )
 
 
-def _set_mask(folder: Path, name: str, frame: scene_pb2.Frame, problems: Problems) -> bool:
-    """Fill in the frame's mask; return whether there is one."""
-    stem = name.rsplit(".", maxsplit=1)[0]
-    candidates = [f"{MASKS}/{name}.png", f"{MASKS}/{stem}.png", f"{MASKS}/{name}"]
-    found = next((path for path in candidates if (folder / path).is_file()), None)
-    if found is None:
-        problems.error(
-            "scene.file_missing",
-            f"there is no mask {candidates[0]} (nor {candidates[1]}), but there is a folder of masks; "
-            "add it, or remove the folder to take everything for the object",
-            candidates[0],
+def _set_masks(folder: Path, pictures: str, masks: str, capture: Capture, problems: Problems) -> None:
+    """Give the frames their masks; a few that have none are left out, else no masks are used."""
+    lacking = []
+    for frame in capture.frames:
+        picture = PurePosixPath(frame.images[0].path)
+        candidates = _mask_names(PurePosixPath(masks) / picture.relative_to(pictures))
+        found = find_file(folder, candidates)
+        astray = next((each for each in candidates if found is None and link_out(folder, each)), None)
+        if astray is not None:
+            problems.lost("scene.file_linked", f"{astray} lies behind a link out", astray.as_posix())
+        elif found is None:
+            lacking.append((frame, candidates[0]))
+        else:
+            frame.mask = found.as_posix()
+    if 2 * len(lacking) > len(capture.frames):
+        names = [frame.images[0].path for frame, _ in lacking]
+        problems.warning(
+            "scene.mask_unused",
+            f"the masks in {masks} are not used, because {len(lacking)} of {len(capture.frames)} photographs "
+            f"have none there: {listed(names)}; give one for each, or remove the folder",
+            masks,
         )
-        return False
-    frame.mask = found
-    return True
+        for frame in capture.frames:
+            frame.mask = ""
+        return
+    for frame, name in lacking:
+        problems.lost(
+            "scene.mask_file_missing",
+            f"{frame.images[0].path} has no mask {name}, as the others have",
+            frame.images[0].path,
+        )
+    capture.frames = [frame for frame in capture.frames if frame.mask]
+
+
+def _mask_names(clean: PurePosixPath) -> list[PurePosixPath]:
+    return [clean.with_name(f"{clean.name}.png"), clean.with_suffix(".png"), *picture_names(clean)]

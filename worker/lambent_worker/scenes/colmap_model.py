@@ -8,8 +8,12 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TextIO
 
+from lambent_worker.scenes.reading import text_encoding
+
+UNDISTORT = "run colmap image_undistorter and give its result"
+"""What to do about a camera that is no pinhole."""
 MAX_ENTRIES = 100_000
 MAX_NAME_BYTES = 4096
 
@@ -48,7 +52,16 @@ class ColmapImage:
 
 
 class ModelError(Exception):
-    """A file of the model cannot be understood; the text says why."""
+    """A file of the model cannot be understood; the text says why, `code` and `advice` what to do."""
+
+    def __init__(
+        self,
+        reason: str,
+        code: str = "scene.metadata_unreadable",
+        advice: str = "export the model again",
+    ) -> None:
+        super().__init__(reason)
+        self.code, self.advice = code, advice
 
 
 # Name and number of parameters, by the number that stands for the model in binary files.
@@ -65,6 +78,12 @@ MODELS = {
     9: ("RADIAL_FISHEYE", 5),
     10: ("THIN_PRISM_FISHEYE", 12),
     11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4),
+    13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3),
+    15: ("FISHEYE", 4),
+    16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
 }
 _COUNTS = dict(MODELS.values())
 
@@ -149,9 +168,16 @@ def _images_from_text(path: Path) -> list[ColmapImage]:
     return images
 
 
+def open_text(path: Path, errors: str = "strict") -> TextIO:
+    """Return a file of the model that is opened as text, whatever system wrote it."""
+    with path.open("rb") as file:
+        encoding = text_encoding(file.read(4))
+    return path.open(encoding=encoding, errors=errors)
+
+
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     try:
-        with path.open(encoding="utf-8") as file:
+        with open_text(path) as file:
             for number, line in enumerate(file, start=1):
                 yield number, line.strip()
     except UnicodeDecodeError as error:
@@ -175,7 +201,11 @@ def _cameras_from_binary(path: Path) -> dict[int, ColmapCamera]:
         for index in range(_entries(file, path, 24, "cameras")):
             number, model, width, height = _unpack(file, "<iiQQ", f"camera {index}")
             if model not in MODELS:
-                raise ModelError(f"camera {number} has the unknown model number {model}")
+                raise ModelError(
+                    f"camera {number} has the unknown model number {model}",
+                    "scene.lens_unsupported",
+                    UNDISTORT,
+                )
             name, count = MODELS[model]
             parameters = _unpack(file, f"<{count}d", f"camera {index}")
             if number in cameras:

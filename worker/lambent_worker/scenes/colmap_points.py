@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy import ndarray
 
-from lambent_worker.scenes.colmap_model import ModelError
+from lambent_worker.scenes.colmap_model import ModelError, open_text
 
 _POINT = struct.Struct("<Q3d3Bd")
 _COUNT = struct.Struct("<Q")
@@ -65,7 +65,7 @@ def _from_binary(path: Path) -> ColmapPoints:
 
 def _from_text(path: Path) -> ColmapPoints:
     xyz, errors, images = [], [], []
-    with path.open(encoding="utf-8", errors="replace") as file:
+    with open_text(path, errors="replace") as file:
         for line in file:
             values = line.split()
             if not values or values[0].startswith("#"):

@@ -4,28 +4,33 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.scenes import (
+    camera_places,
     colmap,
     glossy_synthetic,
     nerf_blender,
     nerfstudio,
     openillumination,
     photographs,
+    polycam,
     tensoir_synthetic,
 )
 from lambent_worker.scenes.capture import Capture
 from lambent_worker.scenes.exposure import set_exposures
 from lambent_worker.scenes.extent import hold_out, set_extent
 from lambent_worker.scenes.frames import check_names, report_extra_files
+from lambent_worker.scenes.links import refuse_links, settle_linked
 from lambent_worker.scenes.lost_frames import settle_lost, without_pictures
-from lambent_worker.scenes.mask_folder import attach_masks
+from lambent_worker.scenes.mask_folder import attach_masks, attach_masks_beside
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.rig import check_rig
 from lambent_worker.scenes.silhouette_check import fit_to_silhouettes, training_silhouettes
-from lambent_worker.scenes.world import settle, stand_upright
+from lambent_worker.scenes.unread_formats import note_only_unread
+from lambent_worker.scenes.world import FIXED_WORLDS, bring_near, settle, stand_upright
 
 SCHEMA_VERSION = "1.0"
 
@@ -39,19 +44,28 @@ READERS = {
         nerf_blender,
         nerfstudio,
         colmap,
+        polycam,
         photographs,
     )
 }
 LAYOUTS = tuple(READERS)
-TOLERANT_LAYOUTS = frozenset({nerf_blender.NAME, nerfstudio.NAME, colmap.NAME, photographs.NAME})
+CAMERA_LAYOUTS = frozenset(camera_places.READERS)
+TOLERANT_LAYOUTS = CAMERA_LAYOUTS | {photographs.NAME}
 """Layouts in which a few pictures may be missing or broken; benchmarks with several lights are strict."""
 
 
-def detect_layout(folder: Path) -> str | None:
-    """Return the name of the layout of `folder`, or None where it is none we know."""
+def detect_layout(folder: Path, *, look_deeper: bool = True) -> str | None:
+    """Return the name of the layout of `folder`, or None where it is none we know.
+
+    With `look_deeper` a capture may lie in a folder of it, if that is the only one.
+    """
     if not folder.is_dir():
         return None
-    return next((name for name, reader in READERS.items() if reader.is_layout(folder)), None)
+    readers = {name: reader for name, reader in READERS.items() if reader is not photographs}
+    layout = next((name for name, reader in readers.items() if reader.is_layout(folder)), None)
+    if layout is None and look_deeper:
+        layout = camera_places.deeper_layout(folder)
+    return layout or (photographs.NAME if photographs.is_layout(folder) else None)
 
 
 def require_layout(layout: str | None) -> None:
@@ -86,6 +100,10 @@ def collect_scene(
         )
         return None
     layout = layout or detect_layout(folder)
+    if layout is None and not refuse_links(folder, problems):
+        return None
+    if layout is None and not note_only_unread(folder, problems):
+        return None
     if layout is None:
         looked_for = "; ".join(f"{reader.LOOKS_LIKE} ({name})" for name, reader in READERS.items())
         problems.error(
@@ -93,14 +111,25 @@ def collect_scene(
             f"none of these was found: {looked_for}; see docs/howto/own-photographs.md",
         )
         return None
+    if layout not in TOLERANT_LAYOUTS and not refuse_links(folder, problems):
+        return None
     if layout == photographs.NAME:
         capture = photographs.read_capture(folder, problems, cameras)
-        masks = masks or photographs.folder_of_masks(folder)
+        if cameras is None:
+            camera_places.note_passed_over(folder, problems)
+    elif layout in CAMERA_LAYOUTS:
+        place = camera_places.place_of(folder, layout)
+        capture = camera_places.READERS[layout].read_capture(folder, problems, place)
+        camera_places.note_deeper(place, layout, problems)
     else:
         capture = READERS[layout].read_capture(folder, problems)
+    if layout in CAMERA_LAYOUTS and not settle_linked(folder, problems):
+        return None
     capture.frames = without_pictures(capture.frames, broken, problems)
     if layout in TOLERANT_LAYOUTS:
         capture.other_files |= settle_lost(capture.frames, problems)
+        if masks is None:
+            attach_masks_beside(capture.frames, folder, problems)
     if not capture.frames:
         if problems.usable:
             check_rig([], problems)
@@ -111,6 +140,7 @@ def collect_scene(
     check_names(capture.frames, problems)
     if problems.usable:  # else a picture may be left over because its camera is what is wrong
         report_extra_files(folder, capture.frames, capture.other_files, problems)
+    moved = np.eye(4) if layout in FIXED_WORLDS else bring_near(capture, problems)
     check_rig(capture.frames, problems, found_here=layout == photographs.NAME)
     set_exposures(folder, capture.frames, capture.exposures, problems)
     manifest = scene_pb2.SceneManifest(
@@ -121,6 +151,8 @@ def collect_scene(
         relight_lights=capture.relight_lights,
         frames=capture.frames,
     )
+    if not np.array_equal(moved, np.eye(4)):
+        manifest.world_from_capture[:] = moved.ravel().tolist()
     if masks is not None:
         attach_masks(manifest, folder, masks, problems)
     if problems.usable:

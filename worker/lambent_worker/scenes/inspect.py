@@ -13,12 +13,14 @@ from lambent_worker.scenes.coverage import frame_mask
 from lambent_worker.scenes.detect import TOLERANT_LAYOUTS, collect_scene, detect_layout
 from lambent_worker.scenes.exif import exif_facts
 from lambent_worker.scenes.frames import listed
+from lambent_worker.scenes.links import leads_inside
 from lambent_worker.scenes.lost_frames import are_few
 from lambent_worker.scenes.mask_levels import Mask
 from lambent_worker.scenes.picture_error import NOTHING_SKIPPED, SKIPPED, PictureError
 from lambent_worker.scenes.pictures import PictureFacts, picture_facts, picture_size
 from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.silhouette_check import check_silhouettes, training_silhouettes
+from lambent_worker.scenes.unread_formats import note_unread
 
 UNSUPPORTED_SUFFIXES = {
     **dict.fromkeys((".pkl", ".pickle", ".pt", ".pth", ".ckpt", ".npz", ".joblib"), "a pickle or checkpoint"),
@@ -80,6 +82,8 @@ def inspect_files(
         is_glossy = (layout or detect_layout(folder)) == glossy_synthetic.NAME
         known = glossy_synthetic.pickles_of(folder) if is_glossy else set()
         note_unsupported(folder, known, problems)
+        if layout or detect_layout(folder):
+            note_unread(folder, problems)
     if manifest is None:
         report = scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())
         return Inspection(report=report)
@@ -90,6 +94,7 @@ def inspect_files(
         problems = Problems()
         manifest = collect_scene(folder, layout, problems, masks, broken, cameras)
         note_unsupported(folder, set(), problems)
+        note_unread(folder, problems)
     else:
         for finding in broken.values():
             problems.error(finding.code, finding.message, finding.subject)
@@ -113,6 +118,8 @@ def inspect_files(
 def note_unsupported(folder: Path, known: set[Path], problems: Problems) -> None:
     """Note files in `folder`, but for `known`, that no capture should hold: programs, pickles, models."""
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and p not in known):
+        if path.is_symlink() and not leads_inside(path, folder):
+            continue
         kind = UNSUPPORTED_SUFFIXES.get(path.suffix.lower())
         if kind is None:
             try:

@@ -1,12 +1,17 @@
 """Assigns masks from a separate folder to the frames of a capture."""
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.scenes.frames import listed
-from lambent_worker.scenes.pictures import PICTURE_SUFFIXES
+from lambent_worker.scenes.links import files_below
+from lambent_worker.scenes.mask_search import masks_of, names_of_mask
+from lambent_worker.scenes.picture_error import PictureError
+from lambent_worker.scenes.picture_files import pictures_below
+from lambent_worker.scenes.pictures import PICTURE_SUFFIXES, picture_size
 from lambent_worker.scenes.problems import Problems
 
 
@@ -69,6 +74,48 @@ def _names(frame: scene_pb2.Frame, stems: Counter[str]) -> list[str]:
 
 
 def _files_by_name(folder: Path) -> dict[str, Path]:
-    """Return the pictures below `folder` by their path in it without suffix."""
-    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in PICTURE_SUFFIXES)
-    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in paths}
+    """Return the pictures below `folder` by what their photographs may be called, in it without suffix."""
+    paths = [path for path in files_below(folder, folder, []) if path.suffix.lower() in PICTURE_SUFFIXES]
+    exact, alike = {}, {}
+    for path in paths:
+        name = path.relative_to(folder).with_suffix("")
+        exact[name.as_posix()] = path
+        alike |= {name.with_name(called).as_posix(): path for called in names_of_mask(name.name)}
+    return alike | exact
+
+
+def masks_beside(folder: Path, photographs: Sequence[str], problems: Problems) -> dict[str, str]:
+    """Return the masks that lie beside `photographs` of the capture in `folder`, if all have a fitting one.
+
+    Paths are relative to `folder`. Masks that are not used are noted in `problems`.
+    """
+    masks = masks_of(photographs, pictures_below(folder), problems)
+    for name, mask in masks.items():
+        try:
+            sizes = [picture_size(folder / each) for each in (mask, name)]
+        except PictureError:  # the photograph, which is noted elsewhere, or a mask that will be
+            continue
+        if sizes[0] != sizes[1]:
+            problems.warning(
+                "scene.mask_unused",
+                f"the {len(masks)} masks beside the photographs are not used, because {mask} has "
+                f"{sizes[0][0]} x {sizes[0][1]} pixels and its photograph {sizes[1][0]} x {sizes[1][1]}; "
+                "make them one size, or remove the masks",
+                mask,
+            )
+            return {}
+    return masks
+
+
+def attach_masks_beside(frames: Sequence[scene_pb2.Frame], folder: Path, problems: Problems) -> None:
+    """Give `frames` of the capture in `folder` the masks that lie beside their photographs, if all have one.
+
+    Frames that have masks already, and captures that have none, are left as they are; masks that are not used
+    are noted in `problems`.
+    """
+    if any(frame.mask for frame in frames):
+        return
+    names = [frame.images[0].path for frame in frames]
+    masks = masks_beside(folder, names, problems)
+    for frame, name in zip(frames, names, strict=True):
+        frame.mask = masks.get(name, "")

@@ -2,11 +2,12 @@
 
 Each frame has `file_path` (with or without a suffix) and `transform_matrix`, camera-to-world with camera axes
 x right, y up, looking along -z. The lens is `camera_angle_x`, or `fl_x` (`fl_y`, `cx`, `cy`), for the file or
-per frame, see `transforms_json`. Ground truth, where it exists, is next to a picture as `<stem>_albedo.png`
+per frame, see `transforms_lens`. Ground truth, where it exists, is next to a picture as `<stem>_albedo.png`
 and so on.
 """
 
-from pathlib import Path
+from collections.abc import Iterable
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from lambent_proto.v1 import scene_pb2
@@ -16,11 +17,13 @@ from lambent_worker.scenes.exposure import stated_exposure
 from lambent_worker.scenes.frames import check_sizes
 from lambent_worker.scenes.pictures import encoding_of
 from lambent_worker.scenes.problems import Problems
-from lambent_worker.scenes.reading import read_json_object
-from lambent_worker.scenes.transforms_json import LENS_KEYS, find_picture, frame_entries, posed_entries
+from lambent_worker.scenes.reading import ROOT, read_json_object
+from lambent_worker.scenes.transforms_json import find_picture, frame_entries, posed_entries
+from lambent_worker.scenes.transforms_lens import LENS_KEYS
 
 NAME = "nerf_blender"
 LOOKS_LIKE = "transforms_train.json"
+FILES = ("transforms_train.json", "transforms_test.json", "transforms_val.json")
 
 TRUTH_SUFFIXES = {
     "albedo": "_albedo.png",
@@ -36,50 +39,50 @@ def is_layout(folder: Path) -> bool:
     return (folder / "transforms_train.json").is_file()
 
 
-def read_capture(folder: Path, problems: Problems) -> Capture:
-    """Return all usable frames of `folder`; all problems are added to `problems`."""
+def read_capture(folder: Path, problems: Problems, at: PurePosixPath = ROOT) -> Capture:
+    """Return all usable frames of `folder`, whose files lie in its folder `at`; problems go to `problems`."""
     capture = Capture(name=folder.resolve().name, lights=[LIGHT])
-    if not (folder / "transforms_train.json").is_file():
+    train, *others = ((at / name).as_posix() for name in FILES)
+    if not (folder / train).is_file():
         problems.error(
             "scene.file_missing",
-            "transforms_train.json does not exist; it holds the cameras of the training photographs",
-            "transforms_train.json",
+            f"{train} does not exist; it holds the cameras of the training photographs",
+            train,
         )
         return capture
-    splits = [("transforms_train.json", scene_pb2.SPLIT_TRAIN)]
+    splits = [(train, scene_pb2.SPLIT_TRAIN)]
     # Validation frames stand in where there is no test split; otherwise nothing uses them.
-    others = [name for name in ("transforms_test.json", "transforms_val.json") if (folder / name).is_file()]
+    others = [name for name in others if (folder / name).is_file()]
     splits += [(name, scene_pb2.SPLIT_TEST) for name in others[:1]]
     seen: set[str] = set()
     for name, split in splits:
         transforms = read_json_object(folder, name, problems)
         if transforms is not None:
-            _read_split(folder, name, transforms, split, capture, seen, problems)
+            entries = posed_entries(folder, name, transforms, seen, problems, at)
+            _read_split(folder, entries, split, capture, problems)
     for name in others[1:]:
-        capture.other_files |= _pictures_named_in(folder, name)
+        capture.other_files |= _pictures_named_in(folder, name, at)
     return capture
 
 
-def _pictures_named_in(folder: Path, name: str) -> set[str]:
+def _pictures_named_in(folder: Path, name: str, at: PurePosixPath) -> set[str]:
     """Return the pictures named in an unused transforms file, without checking it."""
     unheard = Problems()
     transforms = read_json_object(folder, name, unheard) or {}
     entries = frame_entries(name, transforms, unheard)
-    found = {find_picture(folder, entry["file_path"], subject, unheard) for subject, entry in entries}
+    found = {find_picture(folder, entry["file_path"], subject, unheard, at) for subject, entry in entries}
     return {path for path in found if path is not None}
 
 
 def _read_split(
     folder: Path,
-    name: str,
-    transforms: dict[str, Any],
+    entries: Iterable[tuple[str, dict[str, Any], str, scene_pb2.Camera]],
     split: scene_pb2.Split,
     capture: Capture,
-    seen: set[str],
     problems: Problems,
 ) -> None:
     shared_lens = []
-    for _, entry, picture, camera in posed_entries(folder, name, transforms, seen, problems):
+    for _, entry, picture, camera in entries:
         frame = _frame(folder, picture, split, camera)
         capture.frames.append(frame)
         exposure = stated_exposure(entry)

@@ -1,7 +1,9 @@
 """Reads photographs without cameras: what a phone or a camera leaves behind.
 
     <scene>/          pictures, at any depth; or
-    <scene>/images/   pictures, with masks/ beside it: named alike, white is the object
+    <scene>/images/   pictures, and nothing else counts
+
+Masks may lie beside them, see `mask_search`.
 
 Their cameras are found by the task `cameras` (`lambent_worker.poses`), which leaves a folder of its own:
 
@@ -11,9 +13,8 @@ Their cameras are found by the task `cameras` (`lambent_worker.poses`), which le
 The pictures stay where they are.
 """
 
-import os
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from lambent_proto.v1 import scene_pb2
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -22,14 +23,15 @@ from lambent_worker.errors import WorkerError
 from lambent_worker.scenes import colmap
 from lambent_worker.scenes.capture import LIGHT, Capture
 from lambent_worker.scenes.frames import frame_names
-from lambent_worker.scenes.picture_files import photographs_in
-from lambent_worker.scenes.pictures import PICTURE_SUFFIXES, encoding_of
+from lambent_worker.scenes.links import leads_inside, link_out, note_links
+from lambent_worker.scenes.picture_files import photographs_in, pictures_below
+from lambent_worker.scenes.pictures import encoding_of
 from lambent_worker.scenes.problems import Problems
 
 NAME = "photographs"
 LOOKS_LIKE = "pictures, from which cameras can be found"
 
-IMAGES, MASKS = "images", "masks"
+IMAGES = "images"
 CAMERAS_FILE = "cameras.json"
 
 
@@ -71,22 +73,13 @@ class FoundCameras(BaseModel):
 
 def is_layout(folder: Path) -> bool:
     """Return whether `folder` holds pictures."""
-    return any(
-        name.lower().endswith(PICTURE_SUFFIXES) and not name.startswith(".")
-        for _, _, names in os.walk(folder)
-        for name in names
-    )
+    return bool(pictures_below(folder))
 
 
 def folder_of_pictures(folder: Path) -> Path:
     """Return the folder below which the pictures of a capture lie."""
-    return folder / IMAGES if (folder / IMAGES).is_dir() else folder
-
-
-def folder_of_masks(folder: Path) -> Path | None:
-    """Return the folder of the masks that belong to a capture, or None where there is none."""
-    masks = folder / MASKS
-    return masks if (folder / IMAGES).is_dir() and masks.is_dir() else None
+    images = folder / IMAGES
+    return images if images.is_dir() and leads_inside(images, folder) else folder
 
 
 def read_capture(folder: Path, problems: Problems, cameras: Path | None = None) -> Capture:
@@ -96,8 +89,10 @@ def read_capture(folder: Path, problems: Problems, cameras: Path | None = None) 
     no camera.
     """
     root = folder_of_pictures(folder)
+    if link_out(folder, PurePosixPath(IMAGES)) is not None:
+        note_links([folder / IMAGES], folder, problems, needed=True)
     prefix = root.relative_to(folder)
-    names = [(prefix / name).as_posix() for name in photographs_in(root, problems)]
+    names = [(prefix / name).as_posix() for name in photographs_in(root, problems, within=folder)]
     if cameras is not None:
         found = read_found_cameras(cameras)
         capture = colmap.read_model(folder, cameras, problems, pictures=prefix.as_posix())

@@ -30,6 +30,12 @@ class Problems:
         forgiven, self._lost = self._lost, []
         return forgiven
 
+    def take_lost(self, code: str) -> list[str]:
+        """Return the pictures that `lost` noted with `code`, and forget these."""
+        taken = [finding.subject for finding in self._lost if finding.code == code]
+        self._lost = [finding for finding in self._lost if finding.code != code]
+        return taken
+
     @property
     def num_lost(self) -> int:
         """Return how many pictures `lost` has noted."""

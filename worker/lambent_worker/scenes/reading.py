@@ -1,7 +1,9 @@
 """Careful reading of what a capture folder says about itself: JSON files, paths, poses, lens angles."""
 
+import codecs
 import json
 import math
+import re
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -9,12 +11,18 @@ import numpy as np
 from jaxtyping import Float64
 from numpy import ndarray
 
+from lambent_worker.scenes.links import link_out, note_links
 from lambent_worker.scenes.problems import Problems
 
 MAX_JSON_BYTES = 64 * 2**20
 MAX_NAME_BYTES, MAX_PATH_BYTES = 240, 1000
 """Of a file and of a path inside the folder; file systems take 255 and 4096, and suffixes are tried."""
+ROOT = PurePosixPath()
+"""The capture's own folder, seen from there."""
 RIGID_TOLERANCE = 1e-3
+MAX_COORDINATE = 1e9
+"""Of a camera's position: coordinates of maps, in any unit, have up to eight digits before the point."""
+_DRIVE = re.compile(r"[A-Za-z]:")
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 """Multiplied from the right: from camera axes x right, y down, z forward to x right, y up, z backward."""
 
@@ -22,6 +30,9 @@ OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 def read_json_object(folder: Path, name: str, problems: Problems) -> dict[str, Any] | None:
     """Return the object in the JSON file `name` of `folder`, or None after noting why it cannot be had."""
     path = folder / name
+    if link_out(folder, PurePosixPath(name)) is not None:
+        note_links([path], folder, problems, needed=True)
+        return None
     try:
         size = path.stat().st_size
         if size > MAX_JSON_BYTES:
@@ -32,9 +43,7 @@ def read_json_object(folder: Path, name: str, problems: Problems) -> dict[str, A
             )
             return None
         twice: list[str] = []
-        value = json.loads(
-            path.read_text(encoding="utf-8"), object_pairs_hook=lambda pairs: _object(pairs, twice)
-        )
+        value = json.loads(decoded(path.read_bytes()), object_pairs_hook=lambda pairs: _object(pairs, twice))
     except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
         reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
         problems.error(
@@ -56,6 +65,25 @@ def read_json_object(folder: Path, name: str, problems: Problems) -> dict[str, A
         )
         return None
     return value
+
+
+def decoded(data: bytes) -> str:
+    """Return the text of a file; see `text_encoding`. Raises `UnicodeDecodeError`."""
+    return data.decode(text_encoding(data))
+
+
+def text_encoding(start: bytes) -> str:
+    """Return how a text that begins like this is encoded: UTF-8, or what its byte order mark says.
+
+    Editors on Windows write a mark before UTF-8, and shells there UTF-16.
+    """
+    marks = {
+        codecs.BOM_UTF32_LE: "utf-32",  # begins like the mark of UTF-16
+        codecs.BOM_UTF32_BE: "utf-32",
+        codecs.BOM_UTF16_LE: "utf-16",
+        codecs.BOM_UTF16_BE: "utf-16",
+    }
+    return next((name for mark, name in marks.items() if start.startswith(mark)), "utf-8-sig")
 
 
 def _object(pairs: list[tuple[str, Any]], twice: list[str]) -> dict[str, Any]:
@@ -86,21 +114,39 @@ def finite_numbers(value: object, count: int) -> list[float] | None:
     return found if len(found) == count else None
 
 
-def inside_folder(path: str, subject: str, problems: Problems) -> PurePosixPath | None:
-    """Return `path` in normal form, or None after noting that it leads out of the scene folder."""
-    if "\\" in path or "\0" in path or not path or not _can_be_a_file_name(path):
-        clean = None
-    else:
-        parts = [part for part in PurePosixPath(path).parts if part != "."]
-        clean = None if path.startswith("/") or ".." in parts or not parts else PurePosixPath(*parts)
-    if clean is None:
+def inside_folder(
+    path: str, subject: str, problems: Problems, at: PurePosixPath = ROOT
+) -> PurePosixPath | None:
+    """Return the path below the scene folder that `path` names, seen from the folder `at` inside of it.
+
+    Backslashes are those of Windows. None after noting in `problems` that it leads out of the scene folder.
+    """
+    clean = None
+    given = path.replace("\\", "/")
+    if "\0" not in given and _can_be_a_file_name(given) and not given.startswith("/"):
+        clean = _normal(at, given)
+    if clean is None or _DRIVE.match(given):
         problems.error(
             "scene.path_unsafe",
-            f'{subject}: path "{path[:200]}" leaves the scene folder or is no file name; use a relative path '
-            "with forward slashes and no ..",
+            f'{subject}: path "{path[:200]}" leaves the scene folder or is no file name; use a path from the '
+            "folder of this file on, for example images/0001.jpg",
             subject,
         )
+        return None
     return clean
+
+
+def _normal(at: PurePosixPath, path: str) -> PurePosixPath | None:
+    """Return `path` seen from `at` without `.` and `..`, or None where it leads out or nowhere."""
+    parts = list(at.parts)
+    for part in PurePosixPath(path).parts:
+        if part == "..":
+            if not parts:
+                return None
+            parts.pop()
+        elif part != ".":
+            parts.append(part)
+    return PurePosixPath(*parts) if parts != list(at.parts) else None
 
 
 def _can_be_a_file_name(path: str) -> bool:
@@ -111,13 +157,18 @@ def _can_be_a_file_name(path: str) -> bool:
     return max(parts) <= MAX_NAME_BYTES and sum(parts) + len(parts) <= MAX_PATH_BYTES
 
 
-def focal_from_angle(angle: object, width: int, subject: str, problems: Problems) -> float | None:
-    """Return the focal length in pixels of a horizontal field of view in radians, or None if it has none."""
+def focal_from_angle(
+    angle: object, width: float, subject: str, problems: Problems, direction: str = "horizontal"
+) -> float | None:
+    """Return the focal length in pixels of a field of view in radians, or None if it has none.
+
+    `width` is the size of the picture in pixels in the `direction` of the field of view.
+    """
     radians = finite_number(angle)
     if radians is None or not 0.0 < radians < math.pi:
         problems.error(
             "scene.camera_angle_invalid",
-            f"{subject}: the horizontal field of view must lie between 0 and pi radians, "
+            f"{subject}: the {direction} field of view must lie between 0 and pi radians, "
             f"found {_short(angle)}",
             subject,
         )
@@ -126,7 +177,7 @@ def focal_from_angle(angle: object, width: int, subject: str, problems: Problems
 
 
 def pose_from_numbers(value: object, subject: str, problems: Problems) -> Float64[ndarray, "4 4"] | None:
-    """Return a camera-to-world matrix from 16 numbers (flat or 4 x 4), or None after noting what is wrong.
+    """Return a camera-to-world matrix from 4 x 4 or 3 x 4 numbers, or None after noting what is wrong.
 
     The rotation part is cleaned of rounding by projecting it on the nearest rotation.
     """
@@ -134,25 +185,33 @@ def pose_from_numbers(value: object, subject: str, problems: Problems) -> Float6
         matrix = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         matrix = np.zeros(0)
-    if matrix.size == 12:
+    if matrix.shape in ((3, 4), (12,)):
         matrix = np.vstack([matrix.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
-    if matrix.size != 16:
+    if matrix.shape not in ((4, 4), (16,)):
         problems.error(
             "scene.camera_invalid",
-            f"{subject}: the camera-to-world matrix must have 4 x 4 numbers, found {_short(value)}",
+            f"{subject}: the camera-to-world matrix must have 4 x 4 or 3 x 4 numbers, found {_short(value)}",
             subject,
         )
         return None
-    matrix = matrix.reshape(4, 4)
-    if not np.isfinite(matrix).all() or np.abs(matrix).max() > 1e6:
+    matrix = _normalized(matrix.reshape(4, 4))
+    largest = np.abs(matrix).max() if np.isfinite(matrix).all() else np.inf
+    if largest > MAX_COORDINATE or np.abs(matrix[:3, :3]).max() > 1e6:
         problems.error(
             "scene.camera_not_finite",
-            f"{subject}: the camera-to-world matrix holds NaN, infinity or a number above 1e6; "
-            "leave the frame out or solve its pose again",
+            f"{subject}: the camera-to-world matrix holds NaN, infinity or a number above "
+            f"{MAX_COORDINATE:g}; leave the frame out or solve its pose again",
             subject,
         )
         return None
     return _rigid(matrix, subject, problems)
+
+
+def _normalized(matrix: Float64[ndarray, "4 4"]) -> Float64[ndarray, "4 4"]:
+    """Return a matrix of homogeneous coordinates with 1 at its end: some programs scale all of it."""
+    end = matrix[3, 3]
+    is_scaled = np.isfinite(matrix).all() and not matrix[3, :3].any() and 1e-9 < end < 1e9
+    return matrix / end if is_scaled and end != 1.0 else matrix
 
 
 def pose_from_world_to_camera(

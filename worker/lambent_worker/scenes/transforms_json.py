@@ -1,44 +1,23 @@
-"""Common parts of all transforms files: naming pictures, and lenses by angle or in pixels.
+"""Common parts of all transforms files: naming pictures, and cameras; for lenses see `transforms_lens`."""
 
-The figures of a lens may stand in the file or in a frame: `camera_angle_x`, or `fl_x` (`fl_y`, `cx`, `cy`) in
-pixels of a picture of `w` x `h`; OpenCV's distortion `k1`, `k2`, `p1`, `p2`, `k3`, with `camera_model`
-FULL_OPENCV also `k4`, `k5`, `k6`.
-"""
-
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from lambent_proto.v1 import scene_pb2
 
 from lambent_worker.scenes.lens import LensFigures, camera_with_lens
+from lambent_worker.scenes.links import link_out
+from lambent_worker.scenes.named_files import find_picture_file, other_suffix, picture_names
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.pictures import PICTURE_SUFFIXES, picture_size
 from lambent_worker.scenes.problems import Problems
-from lambent_worker.scenes.reading import (
-    finite_number,
-    finite_numbers,
-    focal_from_angle,
-    inside_folder,
-    pose_from_numbers,
-)
+from lambent_worker.scenes.reading import ROOT, inside_folder, pose_from_numbers
+from lambent_worker.scenes.transforms_lens import read_lens
 
-LENS_KEYS = ("camera_angle_x", "fl_x", "w")
 SAME_SHAPE = 0.01
 """Relative difference of two aspect ratios that rounding a size may cause."""
-
-_PERSPECTIVE = (
-    "",
-    "PINHOLE",
-    "SIMPLE_PINHOLE",
-    "PERSPECTIVE",
-    "SIMPLE_RADIAL",
-    "RADIAL",
-    "OPENCV",
-    "FULL_OPENCV",
-)
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
 def frame_entries(
@@ -62,14 +41,19 @@ def frame_entries(
 
 
 def posed_entries(
-    folder: Path, name: str, transforms: dict[str, Any], seen: set[str], problems: Problems
+    folder: Path,
+    name: str,
+    transforms: dict[str, Any],
+    seen: set[str],
+    problems: Problems,
+    at: PurePosixPath = ROOT,
 ) -> Iterator[tuple[str, dict[str, Any], str, scene_pb2.Camera]]:
     """Yield how to call it in messages, entry, picture and camera of each frame that has the latter two.
 
-    Pictures in `seen` are refused, those yielded are added to it.
+    The file lies in the folder `at` of the capture. Pictures in `seen` are refused, those yielded are added.
     """
     for subject, entry in frame_entries(name, transforms, problems):
-        picture = find_picture(folder, entry["file_path"], subject, problems)
+        picture = find_picture(folder, entry["file_path"], subject, problems, at)
         if picture is None:
             continue
         if picture in seen:
@@ -80,50 +64,73 @@ def posed_entries(
             )
             continue
         seen.add(picture)
-        camera = read_camera(folder, picture, {**transforms, **entry}, subject, problems)
+        camera = read_camera(folder, picture, transforms, entry, subject, problems)
         if camera is not None:
             yield subject, entry, picture, camera
 
 
-def find_picture(folder: Path, file_path: str, subject: str, problems: Problems) -> str | None:
-    """Return the path of the picture that `file_path` (with or without a suffix) names, or None."""
-    clean = inside_folder(file_path, subject, problems)
+def find_picture(
+    folder: Path, file_path: str, subject: str, problems: Problems, at: PurePosixPath = ROOT
+) -> str | None:
+    """Return the path of the picture that `file_path` names, seen from the folder `at`, or None.
+
+    Where the folder `at` does not have it, the capture's own folder may.
+    """
+    clean = inside_folder(file_path, subject, problems, at)
     if clean is None:
         return None
-    candidates = [clean.as_posix()] if clean.suffix.lower() in PICTURE_SUFFIXES else []
-    candidates += [
-        clean.as_posix() + form for suffix in PICTURE_SUFFIXES for form in (suffix, suffix.upper())
-    ]
-    for candidate in candidates:
-        if (folder / candidate).is_file():
-            return candidate
+    found = find_picture_file(folder, clean)
+    if found is None and at.parts:
+        above = inside_folder(file_path, subject, Problems())
+        found = None if above is None else find_picture_file(folder, above)
+    if found is not None:
+        return found.as_posix()
+    astray = next((each for each in picture_names(clean) if link_out(folder, each) is not None), None)
+    if astray is not None:
+        problems.lost("scene.file_linked", f"{subject}: {astray} lies behind a link out", astray.as_posix())
+        return None
+    other = other_suffix(folder, clean)
+    if other is not None and other.suffix.lower() not in PICTURE_SUFFIXES:
+        problems.lost(
+            "scene.image_format",
+            f"{subject}: {other} has a format that is not read; export it as PNG or JPEG",
+            other.as_posix(),
+        )
+        return None
     problems.lost(
         "scene.file_missing",
-        f"{subject}: there is no {candidates[0]} (nor another supported picture of this name); add it or "
-        "remove the frame",
+        f"{subject}: there is no {picture_names(clean)[0]} (nor another supported picture of this name"
+        f"{'' if other is None else f', but {other}: give the frame that name'}); add it or remove the frame",
         clean.as_posix(),
     )
     return None
 
 
 def read_camera(
-    folder: Path, picture: str, settings: dict[str, Any], subject: str, problems: Problems
+    folder: Path,
+    picture: str,
+    shared: Mapping[str, Any],
+    own: Mapping[str, Any],
+    subject: str,
+    problems: Problems,
 ) -> scene_pb2.Camera | None:
-    """Return the camera of a picture; `settings` are the file's, overridden by the frame's."""
-    if "transform_matrix" not in settings:
+    """Return the camera of a picture; `shared` are the settings of the file, `own` those of the frame."""
+    matrix = own.get("transform_matrix", shared.get("transform_matrix"))
+    if matrix is None:
         problems.error(
             "scene.camera_missing",
             f'{subject} has no camera; add "transform_matrix" or remove the frame',
             picture,
         )
         return None
-    pose = pose_from_numbers(settings["transform_matrix"], subject, problems)
+    pose = pose_from_numbers(matrix, subject, problems)
     try:
         size = picture_size(folder / picture)
     except PictureError as error:
         problems.lost(error.code, f"{subject}: {picture} {error}", picture)
         return None
-    figures = _read_lens(settings, size, picture, subject, problems)
+    stated = read_lens(shared, own, size, picture, subject, problems)
+    figures = None if stated is None else scaled(stated, size, picture, subject, problems)
     if pose is None or figures is None:
         return None
     return camera_with_lens(figures, pose, subject, problems)
@@ -157,80 +164,3 @@ def scaled(
         centre_x=figures.centre_x * across,
         centre_y=figures.centre_y * down,
     )
-
-
-def _read_lens(
-    settings: dict[str, Any], size: tuple[int, int], picture: str, subject: str, problems: Problems
-) -> LensFigures | None:
-    distortion = _read_distortion(settings, picture, subject, problems)
-    if "fl_x" not in settings and "camera_angle_x" not in settings:
-        problems.error(
-            "scene.camera_missing", f'{subject} has no lens; add "camera_angle_x" or "fl_x"', subject
-        )
-        return None
-    if distortion is None:
-        return None
-    width, height = size
-    if "fl_x" not in settings:
-        focal = focal_from_angle(settings["camera_angle_x"], width, subject, problems)
-        return None if focal is None else LensFigures.centred(size, focal, distortion)
-    fl_x = settings["fl_x"]
-    sizes = finite_numbers(
-        [settings.get("w", width), settings.get("h", height), fl_x, settings.get("fl_y", fl_x)], 4
-    )
-    if sizes is None or min(sizes) <= 0.0 or min(sizes[:2]) < 1.0:
-        centre = None
-    else:
-        centre = finite_numbers([settings.get("cx", 0.5 * sizes[0]), settings.get("cy", 0.5 * sizes[1])], 2)
-    if sizes is None or centre is None:
-        problems.error(
-            "scene.lens_invalid",
-            f"{subject}: w, h, fl_x, fl_y must be positive numbers and cx, cy finite ones, in pixels",
-            subject,
-        )
-        return None
-    stated = LensFigures(
-        width=round(sizes[0]),
-        height=round(sizes[1]),
-        focal_x=sizes[2],
-        focal_y=sizes[3],
-        centre_x=centre[0],
-        centre_y=centre[1],
-        distortion=distortion,
-    )
-    return scaled(stated, size, picture, subject, problems)
-
-
-def _read_distortion(
-    settings: dict[str, Any], picture: str, subject: str, problems: Problems
-) -> tuple[float, ...] | None:
-    """Return the coefficients in OpenCV's order, or None after noting a lens that is not understood."""
-    model = str(settings.get("camera_model", "")).upper()
-    if model not in _PERSPECTIVE or settings.get("is_fisheye"):
-        problems.error(
-            "scene.lens_unsupported",
-            f"{subject} has the camera model {model[:40] if model not in _PERSPECTIVE else 'fisheye'}, which "
-            "no pinhole can stand in for; undistort the photographs to a pinhole with the program that "
-            "solved them",
-            picture,
-        )
-        return None
-    values = [finite_number(settings.get(key, 0.0)) for key in _DISTORTION]
-    numbers = [value for value in values if value is not None]
-    if len(numbers) < len(_DISTORTION):
-        bad = next(key for key, value in zip(_DISTORTION, values, strict=True) if value is None)
-        problems.error(
-            "scene.lens_invalid",
-            f"{subject}: the distortion coefficient {bad} is no finite number; write 0 where there is none",
-            subject,
-        )
-        return None
-    if any(numbers[5:]) and model != "FULL_OPENCV":
-        problems.error(
-            "scene.lens_unsupported",
-            f"{subject} has k4, k5 or k6 without the camera model FULL_OPENCV; programs mean different "
-            "things by them, so name the model or undistort the photographs",
-            picture,
-        )
-        return None
-    return tuple(numbers)

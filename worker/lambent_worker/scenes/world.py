@@ -9,6 +9,7 @@ from jaxtyping import Float64
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
+from lambent_worker.scenes.capture import Capture
 from lambent_worker.scenes.problems import Problems
 
 ORDINARY_REACH = {"cameras": 2.0, "silhouettes": 1.5}
@@ -19,6 +20,12 @@ KEPT_RATIO = 2.0
 """A box that is off by less than this factor is left as it is, so that most captures keep their units."""
 KEPT_OFFSET = 0.25
 """A box whose middle is off by less than this share of its half side is left where it is."""
+FAR, FAR_RATIO = 1e4, 1e3
+"""Cameras this far from the origin, in scene units and over their own spread, have map coordinates."""
+ONE_SPOT = 1e-8
+"""Cameras this close to each other, over their distance from the origin, stand on one spot: inverted ones."""
+MAX_DISTANCE = 1e6
+"""Between a camera and the middle of all, scene units; what is further away is a mistake."""
 LEVEL_ENOUGH_DEG = 0.5
 """Captures that stand straighter than this are not turned."""
 LEVEL_LIMIT = np.sin(np.radians(20.0))
@@ -58,6 +65,40 @@ def move(manifest: scene_pb2.SceneManifest, matrix: Float64[ndarray, "4 4"]) -> 
         ray_range.near, ray_range.far = ray_range.near * scale, ray_range.far * scale
     manifest.contraction_radius *= scale
     manifest.world_from_capture[:] = (matrix @ world_matrix(manifest)).ravel().tolist()
+
+
+def bring_near(capture: Capture, problems: Problems) -> Float64[ndarray, "4 4"]:
+    """Return the translation that took the cameras of `capture` from map coordinates to the origin.
+
+    It is the identity for captures that are near the origin, which keep their coordinates. Frames whose
+    cameras are further than `MAX_DISTANCE` from the middle of all are noted in `problems` and left out.
+    """
+    matrix = np.eye(4)
+    if not capture.frames:
+        return matrix
+    poses = np.array([frame.camera.camera_to_world for frame in capture.frames]).reshape(-1, 4, 4)
+    middle = np.median(poses[:, :3, 3], axis=0)
+    away = np.linalg.norm(poses[:, :3, 3] - middle, axis=-1)
+    from_origin, apart = float(np.linalg.norm(middle)), float(np.median(away))
+    if from_origin > FAR and ONE_SPOT * from_origin < apart < from_origin / FAR_RATIO:
+        matrix[:3, 3] = -middle
+        poses[:, :3, 3] -= middle
+        for frame, pose in zip(capture.frames, poses, strict=True):
+            frame.camera.camera_to_world[:] = pose.ravel().tolist()
+        if capture.box is not None:
+            low, high = (tuple((np.array(corner) - middle).tolist()) for corner in capture.box)
+            capture.box = (low, high)
+    for frame, distance in zip(capture.frames, away, strict=True):
+        if distance > MAX_DISTANCE:
+            problems.error(
+                "scene.camera_not_finite",
+                f'the camera of frame "{frame.name}" stands {distance:.3g} units away from the middle of '
+                f"all, more than {MAX_DISTANCE:g}; leave the frame out or solve its pose again",
+                frame.name,
+            )
+    pairs = zip(capture.frames, away, strict=True)
+    capture.frames = [frame for frame, distance in pairs if distance <= MAX_DISTANCE]
+    return matrix
 
 
 def in_world(manifest: scene_pb2.SceneManifest, matrix: Float64[ndarray, "4 4"]) -> None:

@@ -11,6 +11,7 @@ const layouts: ReadonlyMap<string, string> = new Map([
   ["glossy_synthetic", "Glossy Synthetic"],
   ["nerf_blender", "NeRF-Blender (transforms_*.json)"],
   ["colmap", "COLMAP"],
+  ["polycam", "Polycam"],
 ]);
 
 /** Return the name of a layout for display. */

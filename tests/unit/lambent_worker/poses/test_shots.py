@@ -56,7 +56,9 @@ def test_up_is_where_a_viewer_that_obeys_orientation_shows_the_upper_side(tmp_pa
         stored = np.zeros((60, 80), np.uint8)
         shot = photograph(tmp_path / "a.jpg", (80, 60), {ORIENTATION: orientation})
         # Marks the side of the stored picture that `up_turns` names: 0 upper, 1 right, 2 lower, 3 left.
-        side = [stored[:10], stored[:, -10:], stored[-10:], stored[:, :10]][shot.up_turns]
+        # Mirror images are read mirrored back, so of these it is the side of the picture as it is read.
+        read = stored[:, ::-1] if orientation in (2, 4, 5, 7) else stored
+        side = [read[:10], read[:, -10:], read[-10:], read[:, :10]][shot.up_turns]
         side[:] = 255
         exif = Image.Exif()
         exif[ORIENTATION] = orientation

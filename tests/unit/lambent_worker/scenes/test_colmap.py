@@ -4,7 +4,9 @@ import struct
 
 import numpy as np
 import pytest
+from lambent_worker.scenes.colmap_model import MODELS as NUMBERED
 from lambent_worker.scenes.colmap_model import ModelError, read_cameras, read_images
+from lambent_worker.scenes.colmap_points import read_points
 from lambent_worker.scenes.detect import collect_scene, describe_scene
 from lambent_worker.scenes.inspect import inspect_capture
 from lambent_worker.scenes.problems import Problems
@@ -30,17 +32,6 @@ def test_text_and_binary_describe_the_same_frames(tmp_path):
     in_world(binary, world_matrix(text))  # the last digits may decide whether a scene is moved
     for one, other in zip(text.frames, binary.frames, strict=True):
         np.testing.assert_allclose(one.camera.camera_to_world, other.camera.camera_to_world, atol=1e-9)
-
-
-@pytest.mark.parametrize("place", ["sparse", "colmap/sparse/0"])
-def test_the_model_may_lie_in_other_usual_places(tmp_path, place):
-    capture = ColmapBinaryFolder(tmp_path / "scene")
-    target = capture.folder / place
-    (capture.folder / "sparse" / "0").rename(capture.folder / "model")
-    (capture.folder / "sparse").rmdir()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    (capture.folder / "model").rename(target)
-    assert len(describe_scene(capture.folder).frames) == NUM_VIEWS
 
 
 # Model, parameters, and where a point at (0.2, -0.1) over depth is seen.
@@ -204,11 +195,26 @@ def test_half_a_model_is_an_error_that_names_the_other_half(tmp_path):
     assert (finding.code, finding.subject) == ("scene.file_missing", "sparse/0/cameras.bin")
 
 
-def test_a_folder_of_masks_must_have_one_for_every_photograph(tmp_path):
+def test_a_photograph_without_a_mask_is_left_out_where_most_have_one(tmp_path):
     capture = ColmapTextFolder(tmp_path / "scene")
     capture.mask(3).unlink()
-    finding = only(capture.folder)
-    assert (finding.code, finding.subject) == ("scene.file_missing", "masks/IMG_0003.png.png")
+    report, manifest = inspect_capture(capture.folder)
+    assert report.usable
+    assert [each.code for each in report.findings] == ["scene.pictures_left_out"]
+    assert "images/IMG_0003.png has no mask masks/IMG_0003.png.png" in report.findings[0].message
+    assert len(manifest.frames) == NUM_VIEWS - 1
+    assert all(frame.mask for frame in manifest.frames)
+
+
+def test_masks_that_most_photographs_lack_are_not_used(tmp_path):
+    capture = ColmapTextFolder(tmp_path / "scene")
+    for index in range(NUM_VIEWS // 2 + 1):
+        capture.mask(index).unlink()
+    report, manifest = inspect_capture(capture.folder)
+    assert report.usable
+    assert "scene.mask_unused" in {each.code for each in report.findings}
+    assert len(manifest.frames) == NUM_VIEWS
+    assert not any(frame.mask for frame in manifest.frames)
 
 
 def test_masks_may_be_named_by_the_stem(tmp_path):
@@ -225,3 +231,74 @@ def test_reduced_photographs_scale_the_lens(tmp_path):
     model_file(capture, "cameras.txt").write_text(text.splitlines()[0] + "\n" + double + "\n")
     camera = describe_scene(capture.folder).frames[0].camera
     assert (camera.width, camera.focal_x, camera.centre_x) == (SIDE, 48.0, SIDE / 2)
+
+
+@pytest.mark.parametrize("kind", [ColmapTextFolder, ColmapBinaryFolder])
+@pytest.mark.parametrize(
+    ("number", "model", "count"), [(n, *v) for n, v in NUMBERED.items() if n >= 5 and n != 6]
+)
+def test_a_lens_of_a_newer_colmap_is_answered_with_the_undistorter(tmp_path, kind, number, model, count):
+    capture = kind(tmp_path / "scene")
+    if kind is ColmapTextFolder:
+        text = f"1 {model} {SIDE} {SIDE} {' '.join(['20'] * count)}\n"
+        model_file(capture, "cameras.txt").write_text(text)
+    else:
+        data = struct.pack("<QiiQQ", 1, 1, number, SIDE, SIDE) + struct.pack(f"<{count}d", *[20.0] * count)
+        model_file(capture, "cameras.bin").write_bytes(data)
+    report = inspect_capture(capture.folder)[0]
+    assert {finding.code for finding in report.findings} == {"scene.lens_unsupported"}
+    assert model in report.findings[0].message
+    assert "image_undistorter" in report.findings[0].message
+
+
+def test_a_model_number_that_is_not_known_yet_is_answered_with_the_undistorter(tmp_path):
+    capture = ColmapBinaryFolder(tmp_path / "scene")
+    data = struct.pack("<QiiQQ", 1, 1, 99, SIDE, SIDE) + struct.pack("<4d", *[20.0] * 4)
+    model_file(capture, "cameras.bin").write_bytes(data)
+    assert only(capture.folder).code == "scene.lens_unsupported"
+    assert "99; run colmap image_undistorter" in only(capture.folder).message
+
+
+def test_the_numbers_of_lenses_are_those_of_colmap():
+    pycolmap = pytest.importorskip("pycolmap")
+    known = {int(each): name for name, each in pycolmap.CameraModelId.__members__.items() if int(each) >= 0}
+    assert known == {number: name for number, (name, _) in NUMBERED.items()}
+
+
+ENCODINGS = {"CRLF": "utf-8", "mark": "utf-8-sig", "UTF-16": "utf-16"}
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS.values(), ids=ENCODINGS.keys())
+def test_text_may_come_from_windows(tmp_path, encoding):
+    capture = ColmapTextFolder(tmp_path / "scene")
+    before = describe_scene(capture.folder)
+    points = "# 3D point list\n1 0 0 0 9 9 9 0.5 1 0 2 0\n"
+    model_file(capture, "points3D.txt").write_text(points)
+    for name in ("cameras.txt", "images.txt", "points3D.txt"):
+        path = model_file(capture, name)
+        path.write_bytes(path.read_text().replace("\n", "\r\n").encode(encoding))
+    assert describe_scene(capture.folder) == before
+    assert len(read_points(model_file(capture, "")).xyz) == 1
+
+
+NAMES = {
+    "capitals": lambda name: name.upper(),
+    "backslashes": lambda name: "Left\\" + name,
+    "backslashes from here": lambda name: ".\\left\\" + name,
+    "a doubled suffix": lambda name: name + ".png",
+}
+
+
+@pytest.mark.parametrize("kind", [ColmapTextFolder, ColmapBinaryFolder])
+@pytest.mark.parametrize("spelling", NAMES.values(), ids=NAMES.keys())
+def test_photographs_may_be_named_in_the_spelling_of_another_system(tmp_path, kind, spelling):
+    capture = kind(tmp_path / "scene")
+    inner = "left" if "left" in spelling("x").lower() else ""
+    for index in range(NUM_VIEWS):
+        for path in (capture.picture(index), capture.mask(index)):
+            (path.parent / inner).mkdir(exist_ok=True)
+            path.rename(path.parent / inner / path.name)
+    capture.write_model([(turn, shift, spelling(name)) for turn, shift, name in capture.rows()])
+    report, manifest = inspect_capture(capture.folder)
+    assert not [each.message for each in report.findings]
+    assert all(frame.mask.endswith(".png.png") for frame in manifest.frames)

@@ -165,7 +165,9 @@ def test_a_lens_of_nonsense_is_an_error(tmp_path, lens):
     [
         "../train/r_0",
         "/etc/passwd",
-        "train\\r_0",
+        "..\\train\\r_0",
+        "C:\\train\\r_0",
+        "\\\\host\\train\\r_0",
         "",
         "a/../../b",
         ".",

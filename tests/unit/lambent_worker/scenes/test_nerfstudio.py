@@ -192,6 +192,7 @@ def test_without_masks_the_whole_picture_is_the_object_and_a_note_says_so(tmp_pa
     capture = NerfstudioFolder(tmp_path / "scene")
     for index in range(NUM_VIEWS):
         change(capture, index, mask_path=None)
+        capture.mask(index).unlink()
     assert only(capture.folder).code == "scene.no_mask"
     assert describe_scene(capture.folder).bounds_from == "cameras"
 

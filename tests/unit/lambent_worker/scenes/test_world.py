@@ -11,7 +11,15 @@ from lambent_worker.scenes.problems import Problems
 from lambent_worker.scenes.world import in_world, move, rotation_and_scale, settle, world_matrix
 from scipy.spatial.transform import Rotation
 from support.captures import REFERENCES
-from support.layouts import ColmapTextFolder, GlossyFolder, OpenIlluminationFolder
+from support.layouts import (
+    BlenderFolder,
+    ColmapBinaryFolder,
+    ColmapTextFolder,
+    GlossyFolder,
+    NerfstudioFolder,
+    OpenIlluminationFolder,
+    TensoirFolder,
+)
 from support.uneven_object import BALLS
 
 OFFSET, SCALE = np.array([50.0, -20.0, 7.0]), 30.0
@@ -170,3 +178,28 @@ def test_secondary_rays_of_a_fitted_box_are_the_paper_s_for_an_object_of_its_siz
     manifest = scene_pb2.SceneManifest()
     set_fitted_box(manifest, np.array([-1.5, -1.0, -1.0]), np.array([1.5, 1.0, 1.0]))
     assert (manifest.secondary_rays.near, manifest.secondary_rays.far) == pytest.approx((0.05, 2.0))
+
+
+@pytest.mark.parametrize("layout", [NerfstudioFolder, BlenderFolder, TensoirFolder, ColmapBinaryFolder])
+def test_map_coordinates_are_moved_to_the_origin_before_anything_is_measured(tmp_path, layout):
+    near = describe_scene(layout(tmp_path / "near").folder)
+    utm = np.array([432_100.0, 5_412_345.0, 310.0])
+    far = describe_scene(layout(tmp_path / "far", offset=utm).folder)
+    assert not [each.message for each in inspect_capture(tmp_path / "far")[0].findings]
+    np.testing.assert_allclose(far.bounds.minimum, -np.array(far.bounds.maximum), atol=1e-6)
+    ours, theirs = world_matrix(far), world_matrix(near)
+    np.testing.assert_allclose(
+        (positions(far) - ours[:3, 3]) @ np.linalg.inv(ours[:3, :3]).T - utm,
+        (positions(near) - theirs[:3, 3]) @ np.linalg.inv(theirs[:3, :3]).T,
+        atol=1e-2 if layout is TensoirFolder else 1e-6,  # it writes nine digits
+    )
+
+
+def test_a_camera_far_away_from_all_others_is_named(tmp_path):
+    capture = NerfstudioFolder(tmp_path)
+    pose = capture.poses[3].copy()
+    pose[:3, 3] += 3e6
+    capture.set_pose(3, pose)
+    report = inspect_capture(capture.folder)[0]
+    assert [each.code for each in report.findings] == ["scene.camera_not_finite"]
+    assert "frame_00003" in report.findings[0].message
