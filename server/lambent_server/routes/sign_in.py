@@ -20,6 +20,7 @@ from lambent_server.accounts.sign_in import RefusedError, Vouched, admit, of_cla
 from lambent_server.clock import now
 from lambent_server.database.people_schema import sign_ins
 from lambent_server.http.identity import cookie_token, open_session
+from lambent_server.http.json_bodies import StrictRoute
 from lambent_server.http.login_header import LOGIN_NAME, LOGIN_ORGANISATIONS
 from lambent_server.oidc import Provider, SignInError
 from lambent_server.problems import Problem
@@ -31,7 +32,7 @@ from lambent_server.settings import Settings
 
 log = structlog.get_logger()
 
-router = APIRouter(tags=["login"])
+router = APIRouter(tags=["login"], route_class=StrictRoute)
 
 COOKIE = "lambent_sign_in"
 PATH = "/v1/sign-in"
