@@ -31,6 +31,11 @@ def storable(text: str) -> bool:
     return "\0" not in text and not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
+def plain(text: str) -> str:
+    """Return a text that is only shown without what a database cannot hold."""
+    return "".join(letter for letter in text if storable(letter))
+
+
 def check_target(raw_path: bytes, query: bytes) -> None:
     """Refuse the path or the query of a request with `target_invalid` (400) if it is not text.
 

@@ -44,6 +44,7 @@ CSRF_HEADER = "x-lambent-csrf"
 _AWAY = (OperationalError, InterfaceError, PendingRollbackError, PoolTimeoutError)
 # Refusals of what somebody may not do; mistakes in requests are not recorded.
 _RECORDED = frozenset({"scope_missing", "key_needed", "csrf"})
+_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(:\d{1,5})?", re.ASCII)
 _SENT_FILE = re.compile(r"/v1/scenes/[^/]+/files/[^/]+")
 
 
@@ -141,6 +142,9 @@ class Gate:
             found = f"{len(hosts)} Host headers" if len(hosts) > 1 else "no Host header"
             raise Problem(400, "header_invalid", f"the request has {found}; send exactly one")
         host = hosts[0]
+        if _HOST.fullmatch(host) is None:
+            # Links and redirects are made of it.
+            raise Problem(400, "header_invalid", f"the Host header {host[:100]!r} is not a name and a port")
         name = _address(f"//{host}", "Host").hostname or ""
         if name not in self._hosts:
             raise Problem(

@@ -23,6 +23,7 @@ from lambent_server.http.identity import cookie_token, open_session
 from lambent_server.http.json_bodies import StrictRoute
 from lambent_server.http.login_header import LOGIN_NAME, LOGIN_ORGANISATIONS
 from lambent_server.oidc import Provider, SignInError
+from lambent_server.outside_text import storable
 from lambent_server.problems import Problem
 from lambent_server.routes.common import ServicesOf, problems
 from lambent_server.routes.cookies import give_session, visitor
@@ -131,6 +132,8 @@ def _end(
             raise SignInError("provider_refused", f"the provider says {error[:100]!r}")
         tokens = provider.exchange(code, begun["verifier"], _callback(request))
         vouched = of_claims(provider.claims(tokens, begun["nonce"]), services.settings)
+        if not all(map(storable, (vouched.issuer, vouched.subject, vouched.email or ""))):
+            raise SignInError("claims_invalid", "the claims sub or email hold what is not text")
     except SignInError as failure:
         return _failed(request, failure)
     return _let_in(services, request, vouched, begun["return_to"])

@@ -9,6 +9,7 @@ from lambent_server.outside_text import (
     check_target,
     media_type,
     parse_json,
+    plain,
     refuse_form,
     sendable_media_type,
 )
@@ -115,6 +116,10 @@ def test_other_texts_are_no_media_types(text: str):
 
 def test_bytes_without_a_media_type_are_octets():
     assert media_type("") == OCTETS
+
+
+def test_a_name_that_is_only_shown_keeps_what_is_text():
+    assert plain("F\0ay \ud800\U0001f600") == "Fay \U0001f600"
 
 
 def test_a_form_is_refused_with_how_to_send_a_file():

@@ -135,6 +135,8 @@ def test_a_request_names_exactly_one_host(api: Api):
         assert len(request.headers.get_list("host")) == 2
         problem = expect_problem(api.client.send(request), 400, "header_invalid")
         assert "2 Host headers" in problem["detail"]
+    for host in ("evil@localhost", "localhost/evil", "localhost:x", "localhost:999999", "[::1", "localhost?"):
+        expect_problem(api.get("/v1/jobs", headers={"host": host}), 400, "header_invalid")
 
 
 def test_text_that_nothing_can_store_is_refused_before_anybody_is_asked_for_a_key(api: Api):
