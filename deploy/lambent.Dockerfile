@@ -9,6 +9,12 @@ RUN npm run build
 
 FROM python:3.11-slim-bookworm
 
+# Triton compiles a few lines of C when it first starts a kernel on a GPU; this Python has its header files.
+RUN apt-get update && apt-get install --yes --no-install-recommends gcc libc6-dev \
+    && rm -rf /var/lib/apt/lists/* \
+    && echo '#include <Python.h>' \
+        | gcc -fsyntax-only -x c -I "$(python -c 'import sysconfig; print(sysconfig.get_path("include"))')" -
+
 RUN useradd --uid 10001 --create-home --shell /usr/sbin/nologin lambent \
     && mkdir /data /store && chown lambent:lambent /data /store
 WORKDIR /opt/lambent
@@ -31,9 +37,12 @@ COPY --from=pages /opt/lambent/client/python/lambent_pages/dist client/python/la
 ARG EXTRAS=server,s3,oidc,worker,client
 RUN pip install --no-cache-dir -c constraints.txt ".[$EXTRAS]"
 
-# Waiting threads sleep; compiled kernels are kept where the user may write.
+# Waiting threads sleep. Compiled kernels are kept where the user may write and where files may be executed, which
+# Docker forbids on a tmpfs: /data is a volume wherever jobs run.
 ENV OMP_WAIT_POLICY=PASSIVE \
-    NUMBA_CACHE_DIR=/tmp/numba \
+    CUDA_CACHE_PATH=/data/cache/cuda \
+    NUMBA_CACHE_DIR=/data/cache/numba \
+    TRITON_CACHE_DIR=/data/cache/triton \
     PYTHONUNBUFFERED=1
 USER 10001:10001
 # As Ctrl-C: whoever stops a container gives its runs the time to write a checkpoint.

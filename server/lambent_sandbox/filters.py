@@ -62,7 +62,7 @@ def _all(action: int, *names: str) -> tuple[Rule, ...]:
 # Memory, threads that exist, time, and files that are open already.
 _QUIET = (
     *_all(_ALLOW, "read", "readv", "pread64", "preadv", "write", "writev", "lseek", "close", "fstat", "dup"),
-    *_all(_ALLOW, "newfstatat", "poll", "ppoll", "fadvise64", "brk", "munmap", "mremap", "madvise"),
+    *_all(_ALLOW, "poll", "ppoll", "fadvise64", "brk", "munmap", "mremap", "madvise"),
     *_all(_ALLOW, "futex", "rt_sigaction", "rt_sigprocmask", "rt_sigreturn", "sigaltstack", "sched_yield"),
     *_all(_ALLOW, "restart_syscall", "exit", "exit_group", "clock_gettime", "clock_getres", "gettimeofday"),
     *_all(
@@ -97,7 +97,11 @@ _NAMES_THREADS = (
 
 
 def stream_rules() -> tuple[Rule, ...]:
-    """Return the rules for a process that reads an open file and writes to a pipe, and opens nothing."""
+    """Return the rules for a process that reads an open file and writes to a pipe, and opens nothing.
+
+    It looks at no path either: `newfstatat` is refused, which some libraries use for open files too, and
+    which the readers of files that are open already do not need.
+    """
     return (
         *_HOSTILE,
         *_QUIET,
@@ -111,14 +115,20 @@ def stream_rules() -> tuple[Rule, ...]:
 
 
 def picture_rules() -> tuple[Rule, ...]:
-    """Return the rules for a process that opens files for reading only, loads libraries and has threads."""
+    """Return the rules for a process that opens files for reading only, loads libraries and has threads.
+
+    The calls that look at a path without opening it are allowed for every path: loading a library makes them,
+    a filter cannot follow the address of a path, and Landlock has no right for them (SECURITY.md).
+    """
     return (
         *_HOSTILE,
         *_QUIET,
         *_NAMES_THREADS,
         Rule("open", _ALLOW, 1, calls.WRITING, 0),
         Rule("openat", _ALLOW, 2, calls.WRITING, 0),
-        *_all(_ALLOW, "stat", "lstat", "statx", "access", "faccessat", "faccessat2", "readlink"),
+        *_all(
+            _ALLOW, "newfstatat", "stat", "lstat", "statx", "access", "faccessat", "faccessat2", "readlink"
+        ),
         *_all(_ALLOW, "readlinkat", "getdents64", "getcwd", "statfs", "fstatfs"),
         # Code comes from files, never from memory that was written.
         Rule("mmap", _ALLOW, 2, calls.PROT_EXEC, 0),

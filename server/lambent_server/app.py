@@ -10,6 +10,8 @@ from lambent_server.feed import Feed
 from lambent_server.health import Health
 from lambent_server.http import errors
 from lambent_server.http.budget import Budget
+from lambent_server.http.heads import HeadAsGet
+from lambent_server.http.json_bodies import require_strict
 from lambent_server.http.maintenance import Maintenance
 from lambent_server.http.middleware import Gate
 from lambent_server.http.request import App
@@ -66,6 +68,8 @@ def _bare(services: Services | None) -> FastAPI:
     )
     routers = [module.router for module in (*modules, embed, pages)]
     require_complete(routers)
+    require_strict(routers)
+    app.state.routes = [route for router in routers for route in router.routes]
     for router in routers[: len(modules)]:
         app.include_router(router)
     app.add_api_route("/openapi.json", describe, include_in_schema=False)
@@ -87,7 +91,7 @@ def make_app(services: Services, connections: int | None = None) -> tuple[FastAP
     app.state.sign_ins = CapacityLimiter(THREADS)
     app.state.provider = None if issuer is None else Provider(services.settings)
     app.state.share_secret = shared_secret(services.database, services.settings, SHARE)
-    inner = Maintenance(app, Notices(services.database))
+    inner = Maintenance(HeadAsGet(app), Notices(services.database))
     return app, Gate(inner, services, allowed_hosts(services.settings), app.state.share_secret, budget)
 
 

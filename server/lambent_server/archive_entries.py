@@ -13,13 +13,19 @@ import zlib
 from collections.abc import Iterator
 from typing import IO, Any
 
-from lambent_server.paths import path_problem
+from lambent_server.paths import in_archive, path_problem
 from lambent_server.problems import Problem, invalid
 
 # Archive readers read names and directories in one piece; no legitimate one is larger.
 MAX_SINGLE_READ = 16 * 1024 * 1024
 _LOCAL_HEADER = 30
 _PIECE = 1024 * 1024
+_END = b"PK\x05\x06"
+# With the records of large archives, and a comment.
+_MAX_END = 2**17
+# What some programs write in front of an archive that might have become several files.
+_MARKERS = (b"PK00", b"PK\x07\x08")
+_LINK = "a link is not followed; pack the file that it names (tar -h, or zip without -y)"
 
 Entry = tuple[str, int, Any]
 """Name, size as it is claimed, and something with `read`."""
@@ -112,6 +118,7 @@ class _Bounded(io.RawIOBase):
 def _zip_entries(file: IO[bytes], budget: int, max_files: int) -> Iterator[Entry]:
     with zipfile.ZipFile(_Bounded(file, 2 * budget + MAX_SINGLE_READ)) as archive:  # type: ignore[arg-type]
         infos = archive.infolist()
+        _refuse_others(archive, infos, file)
         if len(infos) > max_files:
             raise unsafe(f"the archive has {len(infos)} entries, {max_files} are allowed")
         if sum(info.file_size for info in infos) > budget:
@@ -122,7 +129,7 @@ def _zip_entries(file: IO[bytes], budget: int, max_files: int) -> Iterator[Entry
             name = info.orig_filename
             kind = stat.S_IFMT(info.external_attr >> 16)
             if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-                raise unsafe("links and devices are not allowed", name)
+                raise unsafe(_LINK if kind == stat.S_IFLNK else "devices are not allowed", name)
             if info.flag_bits & 1:
                 raise unsafe("encrypted entries are not allowed", name)
             if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -134,6 +141,22 @@ def _zip_entries(file: IO[bytes], budget: int, max_files: int) -> Iterator[Entry
                 continue
             with archive.open(info) as member:
                 yield name, info.file_size, member
+
+
+def _refuse_others(archive: zipfile.ZipFile, infos: list[zipfile.ZipInfo], file: IO[bytes]) -> None:
+    """Refuse a file that holds more than one zip: which of them a reader sees depends on the reader."""
+    file.seek(0)
+    start = 4 if file.read(4) in _MARKERS else 0
+    first = min((info.header_offset for info in infos), default=archive.start_dir)
+    if first != start:
+        raise unsafe(
+            f"{first - start} bytes lie before its first entry: these are two archives joined, or one that "
+            "unpacks itself; pack the files again as one plain zip"
+        )
+    # The list of entries, its end and a comment: no second end may lie there.
+    file.seek(archive.start_dir)
+    if file.read(MAX_SINGLE_READ + _MAX_END).count(_END) != 1:
+        raise unsafe("the archive has more than one end; pack the files again as one plain zip")
 
 
 def _refuse_overlaps(infos: list[zipfile.ZipInfo]) -> None:
@@ -156,7 +179,8 @@ def _tar_entries(file: Any, budget: int) -> Iterator[Entry]:
                 _check_folder(info.name.rstrip("/"))
                 continue
             if not info.isreg() or info.issparse():
-                raise unsafe("links, devices and sparse files are not allowed", info.name)
+                linked = info.issym() or info.islnk()
+                raise unsafe(_LINK if linked else "devices and sparse files are not allowed", info.name)
             member = archive.extractfile(info)
             assert member is not None
             yield info.name, info.size, member
@@ -166,6 +190,7 @@ def _tar_entries(file: Any, budget: int) -> Iterator[Entry]:
 
 
 def _check_folder(name: str) -> None:
-    problem = path_problem(name) if name not in (".", "./", "") else None
+    name = in_archive(f"{name}/").rstrip("/")
+    problem = path_problem(name) if name else None
     if problem is not None:
         raise unsafe(problem, name)

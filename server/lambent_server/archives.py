@@ -12,7 +12,16 @@ from typing import IO
 
 from lambent_server.archive_entries import Entry, broken, unsafe
 from lambent_server.decoding import archive_entries
-from lambent_server.paths import Names, is_scene_file, path_problem
+from lambent_server.paths import (
+    Names,
+    clash_with,
+    in_archive,
+    is_archive,
+    is_picture,
+    is_scene_file,
+    path_problem,
+)
+from lambent_server.problems import Problem, invalid
 from lambent_server.settings import Settings
 
 PIECE = 1024 * 1024
@@ -47,7 +56,7 @@ def _keep(
     names = Names()
     left = budget
     for place, (given, size, source) in enumerate(entries):
-        name = given.removeprefix("./")
+        name = in_archive(given)
         if place >= settings.max_scene_files:
             raise unsafe(f"the archive has more than {settings.max_scene_files} entries")
         problem = path_problem(name)
@@ -55,7 +64,7 @@ def _keep(
             raise unsafe(problem, name)
         clash = names.add(name)
         if clash is not None:
-            raise unsafe(f"clashes with {clash!r}", name)
+            raise unsafe(clash_with(clash), name)
         left -= size
         if left < 0:
             raise unsafe(f"the archive holds more than {budget} bytes")
@@ -63,7 +72,31 @@ def _keep(
             left_out.append(name)
             continue
         members.append(_write(name, size, source, folder / f"{place:06d}"))
+    _require_pictures(members, left_out)
     return _without_top_folder(members), left_out
+
+
+def _require_pictures(members: list[Member], left_out: list[str]) -> None:
+    """Refuse an archive that holds other archives and no pictures, or nothing of a scene at all."""
+    if any(is_picture(member.path) for member in members):
+        return
+    nested = [path for path in left_out if is_archive(path)]
+    if nested:
+        message = f"the archive holds {_some(nested)} and no pictures; unpack it, and send what is in it"
+        raise invalid("archive_nested", f"#/{nested[0][:80]}", message)
+    if not members:
+        found = f"{_some(left_out)}, and nothing else" if left_out else "no files"
+        raise _empty(f"the archive holds {found}; a scene has photographs (JPEG, PNG, ...)")
+
+
+def _empty(message: str) -> Problem:
+    return invalid("archive_empty", "#", message)
+
+
+def _some(paths: list[str]) -> str:
+    """Return the first names of a list, and how many more there are."""
+    more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
+    return ", ".join(path[:80] for path in paths[:3]) + more
 
 
 def _write(name: str, size: int, source: IO[bytes], target: Path) -> Member:

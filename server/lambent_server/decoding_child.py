@@ -16,7 +16,7 @@ from typing import IO, Any
 from lambent_sandbox.sandbox import EXIT_REFUSED, Layers, Limits, SandboxError, enter
 
 from lambent_server import archive_entries, environment_files
-from lambent_server.paths import is_scene_file
+from lambent_server.paths import in_archive, is_scene_file
 from lambent_server.problems import Problem
 
 PIECE = 1024 * 1024
@@ -69,7 +69,7 @@ def send_entries(source: IO[bytes], out: IO[bytes], budget: int, max_files: int)
     """Send the entries of an archive, and the contents of those that belong in a scene."""
     for name, size, member in archive_entries.entries_of(source, budget, max_files):
         send(out, {"name": name, "size": size})
-        if is_scene_file(name.removeprefix("./")):
+        if is_scene_file(in_archive(name)):
             send_contents(name, member, out)
     send(out, {"done": True})
 

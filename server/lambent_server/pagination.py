@@ -2,6 +2,7 @@
 
 import base64
 import json
+import re
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
@@ -9,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import Column, ColumnElement, Connection, Select, Table, tuple_
 
 from lambent_server.database.tenancy import Tenant, rows
+from lambent_server.outside_text import parse_json
 from lambent_server.problems import Problem, invalid
 
 Cursor = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,2000}$")]
@@ -17,6 +19,10 @@ Labels = Annotated[
     Field(max_length=8, description='"name=value"; all must hold', default_factory=list),
 ]
 Row = dict[str, Any]
+
+_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+# Of a column of whole numbers, in both databases.
+_MAX_COUNT = 2**31 - 1
 
 
 class PageFilter(BaseModel):
@@ -51,10 +57,27 @@ def _cursor(identifier: str) -> str:
 
 
 def _from_cursor(cursor: str) -> str:
+    """Return what `_cursor` was given; raises `cursor_invalid` for any text that it would not return."""
     try:
-        return base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)).decode("ascii")
+        text = base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)).decode("utf-8")
     except ValueError as error:
         raise _unusable() from error
+    if _cursor(text) != cursor:
+        raise _unusable()
+    return text
+
+
+def _id_of(cursor: str) -> str:
+    """Return the id in a cursor."""
+    text = _from_cursor(cursor)
+    if _ID.fullmatch(text) is None:
+        raise _unusable()
+    return text
+
+
+def _written(values: list[Any]) -> str:
+    """Return the text of a cursor; in UTF-8, which is shorter than the escapes of JSON."""
+    return json.dumps(values, ensure_ascii=False, separators=(",", ":"))
 
 
 def _unusable() -> Problem:
@@ -80,17 +103,19 @@ def select_ordered(
     items = [dict(row) for row in found]
     if len(items) <= limit:
         return items, None
-    return items[:limit], _cursor(json.dumps([items[limit - 1][column.name] for column in columns]))
+    return items[:limit], _cursor(_written([items[limit - 1][column.name] for column in columns]))
 
 
 def _values(cursor: str, columns: Sequence[Column[Any]]) -> list[Any]:
     """Return what the last row of the page before had in these columns."""
     try:
-        values = json.loads(_from_cursor(cursor))
-    except ValueError:
-        values = None
+        values = parse_json(_from_cursor(cursor).encode())
+    except Problem as problem:
+        raise _unusable() from problem
     kinds = [column.type.python_type for column in columns]
     if not isinstance(values, list) or [type(value) for value in values] != kinds:
+        raise _unusable()
+    if any(isinstance(value, int) and not 0 <= value <= _MAX_COUNT for value in values):
         raise _unusable()
     return values
 
@@ -125,7 +150,7 @@ def read_page(
 
     `select_after` makes the query of so many rows after the row with an id.
     """
-    statement = select_after(None if cursor is None else _from_cursor(cursor), limit + 1)
+    statement = select_after(None if cursor is None else _id_of(cursor), limit + 1)
     found = [dict(row) for row in connection.execute(statement).mappings()]
     more = len(found) > limit
     return found[:limit], _cursor(found[limit - 1]["id"]) if more else None

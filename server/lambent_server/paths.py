@@ -23,7 +23,13 @@ SCENE_SUFFIXES = frozenset(
 # The cameras of Glossy Synthetic are pickles; the worker reads numbers out of them and runs nothing.
 _CAMERA_PICKLE = re.compile(r"(\d{1,6}-camera|synthetic_split_\d{1,6})\.pkl")
 _FORBIDDEN = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')
-_RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?")
+_RESERVED = re.compile(r"(?i)(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[\d¹²³]) *(\..*)?")
+# What HFS+ leaves out where it compares names, and other characters without a picture of their own.
+_IGNORED = re.compile(
+    "[\u00ad\u034f\u061c\u180b-\u180f\u200b-\u200f\u202a-\u202e\u2060-\u206f\ufe00-\ufe0f\ufeff]"
+)
+_NOT_PICTURES = frozenset({".bin", ".csv", ".json", ".npy", ".txt"})
+_ARCHIVES = (".zip", ".tar", ".tgz", ".tbz2", ".txz", ".gz", ".bz2", ".xz", ".zst", ".7z", ".rar")
 
 
 def path_problem(path: str) -> str | None:
@@ -56,7 +62,11 @@ def check_path(path: str, pointer: str) -> str:
 
 
 def folded(path: str) -> str:
-    """Return a key that is equal for paths that clash on file systems which ignore case or composition."""
+    """Return a key that is equal for paths that clash on some file system.
+
+    File systems ignore case (NTFS), composition (APFS) and characters that are not seen (HFS+).
+    """
+    path = _IGNORED.sub("", path)
     # Composed again after folding, which takes some letters apart.
     return unicodedata.normalize("NFC", unicodedata.normalize("NFD", path).casefold())
 
@@ -87,6 +97,35 @@ def _parents(path: str) -> Iterator[str]:
     while "/" in path:
         path = path.rpartition("/")[0]
         yield path
+
+
+def in_archive(name: str) -> str:
+    """Return the path that the name of an archive's entry means: "./" and a doubled separator say nothing.
+
+    `tar -C scene .` writes the former. What leads out of the folder stays as it is, for `path_problem`.
+    """
+    if name.startswith("/"):
+        return name
+    *above, last = name.split("/")
+    return "/".join([*(part for part in above if part not in ("", ".")), last])
+
+
+def clash_with(path: str) -> str:
+    """Return what is wrong with a path that clashes with another one, and what to do."""
+    return (
+        f"clashes with {path!r}: some file systems ignore case, composition or invisible characters, "
+        "and no file can be a folder too; rename one"
+    )
+
+
+def is_picture(path: str) -> bool:
+    """Return whether a file of this name can be a picture of a scene."""
+    return is_scene_file(path) and PurePosixPath(path).suffix.lower() not in _NOT_PICTURES | {".pkl"}
+
+
+def is_archive(path: str) -> bool:
+    """Return whether a file of this name is an archive."""
+    return path.lower().endswith(_ARCHIVES)
 
 
 def is_scene_file(path: str) -> bool:

@@ -16,7 +16,7 @@ from lambent_server.database.tenancy import Tenant, add, change, find, remove, r
 from lambent_server.garbage import discard
 from lambent_server.job_rows import is_unfinished
 from lambent_server.messages import NewScene, Scene
-from lambent_server.paths import Names, check_path, is_scene_file
+from lambent_server.paths import Names, check_path, clash_with, is_scene_file
 from lambent_server.problems import Detail, Problem, conflict, not_found
 from lambent_server.scene_figures import forget_figures
 from lambent_server.settings import Settings
@@ -126,7 +126,7 @@ def check_files(files: Sequence[SceneFile], settings: Settings) -> None:
             continue
         clash = names.add(file.path)
         if clash is not None:
-            details.append(Detail(f"#/{place}/path", f"clashes with {clash!r} on some systems"))
+            details.append(Detail(f"#/{place}/path", clash_with(clash)))
         paths[file.path] = file.sha256
     if details:
         raise Problem(422, "path_unsafe", f"{len(details)} path(s) cannot be used", errors=details[:100])

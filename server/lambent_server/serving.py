@@ -22,7 +22,6 @@ from fastapi import FastAPI
 from granian.constants import HTTPModes, Interfaces
 from granian.http import HTTP1Settings
 from granian.server.embed import Server as Granian
-from granian.utils.proxies import wrap_asgi_with_proxy_headers
 from lambent_sandbox.sandbox import REQUIRED, Layers
 from obstore.exceptions import BaseError
 from sqlalchemy.exc import SQLAlchemyError
@@ -37,6 +36,7 @@ from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
 from lambent_server.executors.chosen import ExecutorSetupError, open_executor
 from lambent_server.http.identity import issue_login_code
 from lambent_server.http.login_header import LoginHeader
+from lambent_server.http.proxies import Proxies
 from lambent_server.http.request import App
 from lambent_server.keys import FILE, accept_file
 from lambent_server.problems import Problem
@@ -274,7 +274,7 @@ async def _serve(
     copier = LogCopier(services, membership)
     copier.start()
     if settings.trusted_proxies:
-        gate = LoginHeader(wrap_asgi_with_proxy_headers(gate, list(settings.trusted_proxies)), settings)
+        gate = LoginHeader(Proxies(gate, settings.trusted_proxies), settings)
     outermost = Connections(gate, port, app.state.budget, settings.trusted_proxies)
     sender = Sender(services, lambda: membership.leads)
     sender.start()

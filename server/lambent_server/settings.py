@@ -246,7 +246,8 @@ class Settings(BaseSettings):
     trusted_proxies: Annotated[
         tuple[str, ...], NoDecode, BeforeValidator(_split), AfterValidator(_networks)
     ] = ()
-    """Addresses and networks of proxies whose `X-Forwarded-For` names the client, separated by commas."""
+    """Addresses and networks of proxies that name the client (`X-Forwarded-For`) and the scheme
+    (`X-Forwarded-Proto`), separated by commas."""
     provenance_key: Path | None = None
     """PEM file of the Ed25519 key that signs where bundles are from; made if it is missing. Default: in the
     data folder."""

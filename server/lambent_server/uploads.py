@@ -12,6 +12,7 @@ from fastapi import Request
 from starlette.requests import ClientDisconnect
 
 from lambent_server.metrics import UPLOAD_BYTES
+from lambent_server.outside_text import refuse_form
 from lambent_server.problems import Problem
 from lambent_server.s3 import StoreUnavailableError
 from lambent_server.services import Services
@@ -29,6 +30,7 @@ class Upload:
 @asynccontextmanager
 async def received(services: Services, request: Request, max_bytes: int) -> AsyncIterator[Upload]:
     """Yield the body as a file that exists inside the `with` block."""
+    refuse_form(request.headers.get("content-type", ""))
     services.require_disk()
     descriptor, name = tempfile.mkstemp(dir=services.settings.scratch)
     path, digest, size = Path(name), hashlib.sha256(), 0

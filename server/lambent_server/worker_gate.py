@@ -9,7 +9,9 @@ from typing import Any
 import grpc
 
 from lambent_server.metrics import WORKER_CALLS_REFUSED
+from lambent_server.problems import Problem
 from lambent_server.secrets import is_run_token
+from lambent_server.worker_text import admit
 
 THREADS = 24
 """Calls that are answered at the same time."""
@@ -118,7 +120,7 @@ class Gatekeeper(grpc.ServerInterceptor):  # type: ignore[misc]
         def act(request: Any, context: Any) -> Any:
             self._enter(context, run, stream)
             try:
-                return behavior(request, context)
+                return behavior(_admitted(request, context, stream=stream), context)
             finally:
                 self._shares.leave(run, stream=stream)
 
@@ -130,8 +132,19 @@ class Gatekeeper(grpc.ServerInterceptor):  # type: ignore[misc]
         def act(request: Any, context: Any) -> Iterator[Any]:
             self._enter(context, run, True)
             try:
-                yield from behavior(request, context)
+                yield from behavior(_admitted(request, context, stream=False), context)
             finally:
                 self._shares.leave(run, stream=True)
 
         return act
+
+
+def _admitted(request: Any, context: Any, *, stream: bool) -> Any:
+    """Return a message, or the messages of a stream, whose texts and numbers have been checked."""
+    if stream:
+        return (_admitted(message, context, stream=False) for message in request)
+    try:
+        admit(request)
+    except Problem as problem:
+        context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"{problem.code}: {problem.detail}")
+    return request

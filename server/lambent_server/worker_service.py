@@ -180,7 +180,10 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
 
     def PutBlob(self, request_iterator: Iterator[Any], context: Any) -> Any:  # noqa: N802
         """Store a file of the run, only if it is complete and matches its hash."""
-        header = next(request_iterator).header
+        first = next(request_iterator, None)
+        if first is None or not first.HasField("header"):
+            _abort(context, Refused(grpc.StatusCode.INVALID_ARGUMENT, "the first message names the blob"))
+        header = first.header
         with tempfile.NamedTemporaryFile(dir=self._services.settings.scratch) as file:
 
             def act(_connection: Connection, job: Job) -> Job:

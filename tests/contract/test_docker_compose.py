@@ -11,7 +11,16 @@ from typing import Any
 import pytest
 from lambent.cli.app import build
 from lambent_server.settings import Settings
-from support.deployed import END_S, ROOT, compose_command, compose_with_logs, read_env_file, rest_after_runs
+from support.deployed import (
+    CACHES,
+    END_S,
+    ROOT,
+    compose_command,
+    compose_with_logs,
+    image_environment,
+    read_env_file,
+    rest_after_runs,
+)
 
 COMPOSE = compose_with_logs()
 SERVICES = COMPOSE["services"]
@@ -93,6 +102,24 @@ def test_the_image_has_every_folder_of_a_volume_with_the_owner_that_writes_there
             volume.split(":")[-1] for volume in SERVICES[name].get("volumes", ()) if "./" not in volume
         }
         assert {each for each in targets if each != "ro"} <= set(made[0].split())
+
+
+def test_the_image_can_compile_what_triton_starts_kernels_with():
+    (installed,) = re.findall(r"apt-get install ([^&]+?) \\\\?\n?\s*&&", DOCKERFILE)
+    assert {"gcc", "libc6-dev"} <= set(installed.split())
+    # Building the image fails where Python has no header files.
+    assert "#include <Python.h>" in DOCKERFILE
+
+
+@pytest.mark.parametrize("service", [name for name in OURS if name in (*SERVERS, "train", "ray-node")])
+def test_compiled_kernels_are_kept_where_files_can_be_written_and_executed(service: str):
+    given = {**image_environment(), **(SERVICES[service].get("environment") or {})}
+    # Docker mounts a tmpfs with noexec.
+    assert not any(option.endswith("exec") for option in SERVICES[service]["tmpfs"])
+    volumes = [volume.split(":") for volume in SERVICES[service]["volumes"]]
+    writable = {volume[-1] for volume in volumes if volume[-1] != "ro"}
+    for name in CACHES:
+        assert any(Path(given[name]).is_relative_to(folder) for folder in writable), name
 
 
 def test_two_servers_never_share_a_data_folder():

@@ -20,12 +20,14 @@ import yaml
 from lambent.cli.app import build
 from lambent_server.settings import Settings
 from support.deployed import (
+    CACHES,
     CHART,
     END_S,
     ROOT,
     VALUES,
     container_command,
     helm,
+    image_environment,
     render,
     rendered,
     rest_after_runs,
@@ -120,6 +122,21 @@ def test_a_server_is_not_killed_before_its_runs_have_had_their_time(objects: lis
         assert rest_after_runs(grace_s, environment) >= END_S
         if environment["LAMBENT_LOCAL_SLOTS"] != "0":
             assert environment["LAMBENT_STOP_RUNS_S"] == "240"
+
+
+def test_compiled_kernels_are_kept_where_files_can_be_written_and_executed(objects: list[dict[str, Any]]):
+    for name, spec in pod_specs(objects):
+        (container,) = spec["containers"]
+        assert container["securityContext"]["readOnlyRootFilesystem"] is True
+        given = image_environment() | {each["name"]: each.get("value", "") for each in container["env"]}
+        volumes = {each["name"]: each for each in spec["volumes"]}
+        # Not in memory, which counts as the pod's.
+        kept = {
+            each for each, volume in volumes.items() if "medium" not in volume.get("emptyDir", {"medium": ""})
+        }
+        folders = [each["mountPath"] for each in container["volumeMounts"] if each["name"] in kept]
+        for cache in CACHES:
+            assert any(Path(given[cache]).is_relative_to(folder) for folder in folders), (name, cache)
 
 
 def test_workers_get_no_secret_that_only_servers_need():

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from lambent.cli.app import build
 from lambent_server.settings import Settings
-from support.deployed import END_S, SYSTEMD, rest_after_runs, unit, unit_command
+from support.deployed import CACHES, END_S, SYSTEMD, rest_after_runs, unit, unit_command
 
 UNITS = ("lambent-server.service", "lambent.target")
 # Of systemd 254 and newer; older ones say that they ignore it.
@@ -61,6 +61,13 @@ def test_runs_inherit_a_working_directory_that_holds_nothing_but_the_program():
     folders = [line.partition("=")[2] for line in lines if line.startswith("WorkingDirectory=")]
     assert folders == ["/opt/lambent"]
     assert Path(unit_command(UNITS[0]).words[0]).is_relative_to(folders[0])
+
+
+def test_compiled_kernels_are_kept_in_a_folder_that_systemd_makes():
+    (folder,) = unit(UNITS[0])["Service"]["CacheDirectory"]
+    environment = unit_command(UNITS[0]).environment
+    for name in CACHES:
+        assert Path(environment[name]).is_relative_to(f"/var/cache/{folder}")
 
 
 @analyze

@@ -166,6 +166,8 @@ FAULTS = {
     "no end": {"claims": {"exp": None}},
     "from the future": {"claims": {"nbf": 4_000_000_000}},
     "no subject": {"claims": {"sub": None}},
+    "a subject that is not text": {"claims": {"sub": "fay\0"}},
+    "an address that is not text": {"claims": {"email": "fay\0@x.example", "email_verified": True}},
     "another key of the same name": {"key": "foreign"},
     "no signature": {"key": "none"},
     "signed with the client's secret": {"key": "secret"},

@@ -21,6 +21,8 @@ ROOT = Path(__file__).parents[2]
 CHART = ROOT / "deploy" / "helm" / "lambent"
 VALUES = ROOT / "deploy" / "helm" / "values"
 SYSTEMD = ROOT / "deploy" / "systemd"
+CACHES = ("CUDA_CACHE_PATH", "NUMBA_CACHE_DIR", "TRITON_CACHE_DIR")
+"""Variables that name the folders of compiled kernels."""
 END_S = 45.0
 """Time that the rest of a server needs to end: threads that stop after their round, and open streams."""
 _VARIABLE = re.compile(r"\$\{(\w+)(?::-([^}]*))?\}")
@@ -61,6 +63,13 @@ def read_env_file(path: Path) -> dict[str, str]:
     lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
     pairs = [line.partition("=") for line in lines if line and not line.startswith("#")]
     return {name: value for name, _, value in pairs}
+
+
+def image_environment() -> dict[str, str]:
+    """Return the variables that our image sets."""
+    text = (ROOT / "deploy" / "lambent.Dockerfile").read_text(encoding="utf-8").replace("\\\n", " ")
+    lines = re.findall(r"^ENV (.+)$", text, re.MULTILINE)
+    return dict(pair.split("=", 1) for line in lines for pair in line.split())
 
 
 def interpolated(value: Any, variables: Mapping[str, str]) -> Any:

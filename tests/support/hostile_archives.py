@@ -37,10 +37,12 @@ NAMES = {
     "a drive": "c:/evil.png",
     "a share": "\\\\host\\share\\evil.png",
     "a device of Windows": "con.png",
+    "a device with a space": "con .png",
+    "a device with a power": "com\u00b9.png",
     "an alternate stream": "a.png:evil",
     "a trailing dot": "a.png./b.png",
     "a trailing space": "a /b.png",
-    "an empty part": "a//b.png",
+    "a parent folder behind a dot": "./../b.png",
     "a control character": "a\x07.png",
     "a line break": "a\nb.png",
     "300 characters": "a" * 300 + ".png",
@@ -55,6 +57,11 @@ CLASHES = {
     "case": ("a.png", "A.png"),
     "composition": ("caf\u00e9.png", "cafe\u0301.png"),
     "folding": ("stra\u00dfe.png", "STRASSE.png"),
+    "an invisible character": ("a.png", "a\u200c.png"),
+    "the order of bytes": ("a.png", "\ufeffa.png"),
+    "a form of a sign": ("\u2764.png", "\u2764\ufe0f.png"),
+    "a sharp s": ("\u1e9e.png", "SS.png"),
+    "a doubled separator": ("a//b.png", "a/b.png"),
     "a file that is a folder": ("a.png", "a.png/b.png"),
     "a folder that is a file, in another case": ("A.PNG/b.png", "a.png"),
     "the same name twice": ("./a.png", "a.png"),
@@ -167,9 +174,64 @@ def _() -> bytes:
     return gzip.compress(gzip.compress(make_tar(tar_member("a.png"))))
 
 
-@kind("zip in zip", set())
+@kind("zip in zip", {"archive_nested"})
 def _() -> bytes:
     return make_zip({"inner.zip": make_zip({"a.png": bytes(1000)}), "notes.txt": b"x"})
+
+
+@kind("zip and the end of an empty one", UNSAFE)
+def _() -> bytes:
+    return make_zip({"a.png": b"x"}) + make_zip({})
+
+
+@kind("zip and another zip", UNSAFE)
+def _() -> bytes:
+    return make_zip({"a.png": b"x"}) + make_zip({"b.png": b"y"})
+
+
+@kind("zip behind a program", UNSAFE)
+def _() -> bytes:
+    return b"PK MZ a program" + make_zip({"a.png": b"x"})
+
+
+@kind("zip whose comment is another one's end", EITHER)
+def _() -> bytes:
+    data = bytearray(make_zip({"a.png": b"x"}))
+    end = bytes(data[-22:])
+    data[-2:] = struct.pack("<H", len(end))
+    return bytes(data) + end
+
+
+@kind("zip of nothing", {"archive_empty"})
+def _() -> bytes:
+    return make_zip({})
+
+
+@kind("zip of a film", {"archive_empty"})
+def _() -> bytes:
+    return make_zip({"film.mp4": b"x", ".DS_Store": b"x"})
+
+
+@kind("tar of nothing", BROKEN)
+def _() -> bytes:
+    return make_tar()
+
+
+@kind("zip with a marker of parts", set())
+def _() -> bytes:
+    buffer = io.BytesIO(b"PK00")
+    with zipfile.ZipFile(buffer, "a") as archive:
+        archive.writestr("a.png", b"x")
+    return buffer.getvalue()
+
+
+@kind("zip with a comment", set())
+def _() -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("a.png", b"x")
+        archive.comment = b"made by a camera" * 100
+    return buffer.getvalue()
 
 
 @kind("zip of 61 files", UNSAFE)

@@ -22,7 +22,10 @@ from support.hostile_runs import MIB, OUT_OF_MEMORY, Verdict, captured, judge, l
 ROOT = Path(__file__).parents[2]
 SETTINGS = Settings(max_scene_bytes=2_000_000, max_scene_files=60, max_environment_pixels=4096 * 2048)
 MAX_GROWTH_KIB = 512 * 1024
-UPLOAD_CODES = {"archive_unsafe", "archive_broken", "environment_invalid", "path_unsafe", "scene_too_large"}
+UPLOAD_CODES = {
+    *("archive_unsafe", "archive_broken", "archive_nested", "archive_empty", "environment_invalid"),
+    *("path_unsafe", "scene_too_large"),
+}
 
 
 @cache

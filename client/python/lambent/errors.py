@@ -91,6 +91,8 @@ class ServerFaultError(ProblemError):
 _ADVICE_BY_CODE = {
     "digest_mismatch": "a file changed while it was uploaded; run the same command again",
     "archive_unsafe": "pack the scene folder again with plain files only (no links, no paths with '..')",
+    "archive_nested": "unpack the archive, and push the folder that comes out of it",
+    "archive_empty": "pack the folder that holds the photographs",
     "decoder_stopped": "the file is damaged, or made to attack its readers; make it again",
     "unsatisfiable_resources": "ask for fewer GPUs, or start a worker that has them",
 }

@@ -11,6 +11,7 @@ from lambent_server.accounts.scopes import ROLES
 from lambent_server.clock import now
 from lambent_server.database.people_schema import members
 from lambent_server.database.tenancy import Tenant, across_tenants
+from lambent_server.outside_text import plain
 from lambent_server.settings import Settings
 
 PROXY = "proxy"
@@ -45,7 +46,8 @@ def of_claims(claims: Mapping[str, Any], settings: Settings) -> Vouched:
     return Vouched(
         issuer=str(claims["iss"]),
         subject=str(claims["sub"]),
-        name=next(str(name) for name in names if name)[:200],
+        # Shown, and never looked up: people choose it at their provider.
+        name=plain(next(str(name) for name in names if name))[:200],
         email=str(email) if email else None,
         roles=roles,
     )

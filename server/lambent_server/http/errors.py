@@ -7,6 +7,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
 
 from lambent_server.http.middleware import INTERNAL, away
 from lambent_server.problems import MEDIA_TYPE, Detail, Problem
@@ -45,6 +46,16 @@ def _validation(error: RequestValidationError) -> Problem:
     return Problem(422, "invalid_request", f"{len(found)} value(s) cannot be used", errors=details)
 
 
+def allowed_methods(request: Request) -> list[str]:
+    """Return the methods of a path, sorted: the framework names those of the first of its routes only."""
+    routes = [*request.app.state.routes, *request.app.router.routes]
+    # The routers that the application includes are among its routes, without methods of their own.
+    known = [route for route in routes if getattr(route, "methods", None)]
+    matching = [route for route in known if route.matches(request.scope)[0] != Match.NONE]
+    methods = {method for route in matching for method in route.methods}
+    return sorted(methods | ({"HEAD"} if "GET" in methods else set()))
+
+
 def install(app: FastAPI) -> None:
     """Replace the framework's error handlers."""
 
@@ -60,6 +71,8 @@ def install(app: FastAPI) -> None:
     async def http(request: Request, error: HTTPException) -> Response:
         code = _CODES.get(error.status_code, "refused")
         headers = dict(error.headers or {})
+        if error.status_code == 405:
+            headers["Allow"] = ", ".join(allowed_methods(request))
         return respond(request, Problem(error.status_code, code, str(error.detail), headers=headers))
 
     @app.exception_handler(Exception)

@@ -5,7 +5,7 @@ from collections.abc import MutableMapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import SplitResult, quote, urlsplit
 
 import structlog
 from anyio import to_thread
@@ -30,6 +30,7 @@ from lambent_server.http.login_header import LOGIN_NAME
 from lambent_server.http.rates import Rates
 from lambent_server.http.rechecks import Identify, Rechecks
 from lambent_server.http.request import PUBLIC, SAFE, App, Exchange, Receive, Scope, Send
+from lambent_server.outside_text import check_target
 from lambent_server.problems import Problem
 from lambent_server.s3 import StoreUnavailableError
 from lambent_server.secrets import sha256_text
@@ -43,6 +44,7 @@ CSRF_HEADER = "x-lambent-csrf"
 _AWAY = (OperationalError, InterfaceError, PendingRollbackError, PoolTimeoutError)
 # Refusals of what somebody may not do; mistakes in requests are not recorded.
 _RECORDED = frozenset({"scope_missing", "key_needed", "csrf"})
+_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(:\d{1,5})?", re.ASCII)
 _SENT_FILE = re.compile(r"/v1/scenes/[^/]+/files/[^/]+")
 
 
@@ -113,6 +115,7 @@ class Gate:
             log.exception("refusal_not_recorded", request=who.request_id, code=code)
 
     async def _answer(self, request: Exchange, place: Place, scope: Scope, headers: Headers) -> None:
+        check_target(scope.get("raw_path") or quote(scope["path"]).encode(), scope["query_string"])
         self._check_host(headers)
         client = client_of_address(scope["client"][0] if scope.get("client") else "unknown")
         place.take(client)
@@ -133,7 +136,15 @@ class Gate:
         await self._app(scope, request.receive, request.send)
 
     def _check_host(self, headers: Headers) -> None:
-        host = headers.get("host", "")
+        hosts = headers.getlist("host")
+        # RFC 9112, 3.2: a proxy may have looked at the other one.
+        if len(hosts) != 1 or not hosts[0]:
+            found = f"{len(hosts)} Host headers" if len(hosts) > 1 else "no Host header"
+            raise Problem(400, "header_invalid", f"the request has {found}; send exactly one")
+        host = hosts[0]
+        if _HOST.fullmatch(host) is None:
+            # Links and redirects are made of it.
+            raise Problem(400, "header_invalid", f"the Host header {host[:100]!r} is not a name and a port")
         name = _address(f"//{host}", "Host").hostname or ""
         if name not in self._hosts:
             raise Problem(

@@ -84,7 +84,7 @@ class Exchange:
     def check_length(self, headers: Headers) -> None:
         """Refuse a body whose announced length is too large, before reading it."""
         text = headers.get("content-length")
-        if text is not None and text.isdigit() and int(text) > self._limit:
+        if text is not None and text.isascii() and text.isdigit() and int(text) > self._limit:
             raise self._too_large()
 
     def _too_large(self) -> Problem:

@@ -14,6 +14,7 @@ from fastapi import Depends, Header, Request, Response
 from fastapi.responses import StreamingResponse
 from lambent_pages import accepted_encodings
 
+from lambent_server.http.heads import HEAD
 from lambent_server.problems import Problem
 from lambent_server.routes.common import problems
 from lambent_server.services import Services
@@ -65,7 +66,7 @@ def _asked(
     accept_encoding: Annotated[str | None, Header(alias="Accept-Encoding", max_length=2000)] = None,
     redirect: Annotated[str | None, Header(alias="X-Lambent-Redirect", max_length=10)] = None,
 ) -> Asked:
-    head = request.method == "HEAD"
+    head = getattr(request.state, HEAD, False)
     return Asked(head, range_, if_range, if_none_match, accept_encoding, redirect == "1")
 
 

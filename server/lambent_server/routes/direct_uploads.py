@@ -11,6 +11,7 @@ from lambent_server.clock import rfc3339
 from lambent_server.database.schema import scene_files
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.direct import Offer, direct_uploads
+from lambent_server.http.json_bodies import StrictRoute
 from lambent_server.metrics import DIRECT_BYTES
 from lambent_server.problems import Problem, invalid
 from lambent_server.routes.common import Id, ServicesOf, TenantOf, WhoOf, problems
@@ -25,7 +26,7 @@ from lambent_server.upload_messages import (
     UploadPart,
 )
 
-router = APIRouter(tags=["scenes"])
+router = APIRouter(tags=["scenes"], route_class=StrictRoute)
 
 MEDIA_TYPE = "application/octet-stream"
 

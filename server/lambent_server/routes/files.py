@@ -14,6 +14,7 @@ from lambent_server import zip_stream
 from lambent_server.bundle_rows import require_bundle, show
 from lambent_server.database.schema import bundle_files
 from lambent_server.database.tenancy import Tenant, rows
+from lambent_server.outside_text import sendable_media_type
 from lambent_server.problems import Problem, not_found
 from lambent_server.routes.blob_responses import RESPONSES, Asked, AskedOf, MatchHeader, matches, send_blob
 from lambent_server.routes.common import Id, ServicesOf, Sha, TenantOf, problems
@@ -43,10 +44,10 @@ def _bundle_file(
     if row is None:
         raise not_found("file", path)
     gzip_bytes = int(row["gzip_bytes"] or 0)
-    return Blob(row["sha256"], int(row["size_bytes"]), media_type or row["media_type"], gzip_bytes)
+    media_type = media_type or sendable_media_type(row["media_type"])
+    return Blob(row["sha256"], int(row["size_bytes"]), media_type, gzip_bytes)
 
 
-@router.head("/v1/bundles/{bundle_id:id}/manifest", include_in_schema=False)
 @router.get("/v1/bundles/{bundle_id:id}/manifest", response_class=Response, responses=RESPONSES)
 def get_manifest(
     services: ServicesOf, tenant: TenantOf, bundle_id: Id, request: Request, asked: AskedOf
@@ -56,7 +57,6 @@ def get_manifest(
     return _send_from_bundle(services, request, blob, asked)
 
 
-@router.head("/v1/bundles/{bundle_id:id}/files/{path:path}", include_in_schema=False)
 @router.get("/v1/bundles/{bundle_id:id}/files/{path:path}", response_class=Response, responses=RESPONSES)
 def get_bundle_file(
     services: ServicesOf,
@@ -132,7 +132,6 @@ def _named(name: str) -> str:
     return quote(re.sub(r'[\x00-\x1f\x7f/\\:*?"<>|]+', "_", name).strip(". ") or "bundle") + ".relight.zip"
 
 
-@router.head("/v1/blobs/{sha256}", include_in_schema=False)
 @router.get("/v1/blobs/{sha256}", response_class=Response, responses=RESPONSES)
 def get_blob(services: ServicesOf, tenant: TenantOf, sha256: Sha, asked: AskedOf) -> Response:
     """Return an artifact, a preview or an environment by its hash."""

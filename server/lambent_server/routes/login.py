@@ -14,13 +14,14 @@ from lambent_server.http.identity import (
     open_session,
     redeem_login_code,
 )
+from lambent_server.http.json_bodies import StrictRoute
 from lambent_server.keys import last_revoked_at
 from lambent_server.messages import LoginCode, LoginLink
 from lambent_server.problems import Problem
 from lambent_server.routes.common import ServicesOf, TenantOf, WhoOf, problems
 from lambent_server.routes.cookies import end_of_session, give_session, visitor
 
-router = APIRouter(tags=["login"])
+router = APIRouter(tags=["login"], route_class=StrictRoute)
 
 
 @router.post("/v1/login", status_code=204, response_class=Response, responses=problems(400, 413, 422))

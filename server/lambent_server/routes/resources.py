@@ -6,9 +6,9 @@ from collections.abc import Callable, Coroutine
 from typing import Annotated, Any
 
 from fastapi import Header, Request, Response
-from fastapi.routing import APIRoute
 from pydantic import BaseModel
 
+from lambent_server.http.json_bodies import StrictRoute
 from lambent_server.problems import Problem, invalid
 
 _JSON = "application/json"
@@ -34,7 +34,7 @@ IfMatch = Annotated[
 ]
 
 
-class ResourceRoute(APIRoute):
+class ResourceRoute(StrictRoute):
     """A route whose answers in JSON have an ETag; a GET that brings the current one is answered with 304."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:

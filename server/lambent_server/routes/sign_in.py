@@ -20,8 +20,10 @@ from lambent_server.accounts.sign_in import RefusedError, Vouched, admit, of_cla
 from lambent_server.clock import now
 from lambent_server.database.people_schema import sign_ins
 from lambent_server.http.identity import cookie_token, open_session
+from lambent_server.http.json_bodies import StrictRoute
 from lambent_server.http.login_header import LOGIN_NAME, LOGIN_ORGANISATIONS
 from lambent_server.oidc import Provider, SignInError
+from lambent_server.outside_text import storable
 from lambent_server.problems import Problem
 from lambent_server.routes.common import ServicesOf, problems
 from lambent_server.routes.cookies import give_session, visitor
@@ -31,7 +33,7 @@ from lambent_server.settings import Settings
 
 log = structlog.get_logger()
 
-router = APIRouter(tags=["login"])
+router = APIRouter(tags=["login"], route_class=StrictRoute)
 
 COOKIE = "lambent_sign_in"
 PATH = "/v1/sign-in"
@@ -130,6 +132,8 @@ def _end(
             raise SignInError("provider_refused", f"the provider says {error[:100]!r}")
         tokens = provider.exchange(code, begun["verifier"], _callback(request))
         vouched = of_claims(provider.claims(tokens, begun["nonce"]), services.settings)
+        if not all(map(storable, (vouched.issuer, vouched.subject, vouched.email or ""))):
+            raise SignInError("claims_invalid", "the claims sub or email hold what is not text")
     except SignInError as failure:
         return _failed(request, failure)
     return _let_in(services, request, vouched, begun["return_to"])

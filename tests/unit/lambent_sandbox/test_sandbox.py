@@ -82,6 +82,40 @@ def test_a_process_that_only_streams_opens_nothing():
     assert b"opened" not in done.stdout
 
 
+LOOKS = (
+    "def looks(*calls):\n    for call in calls:\n        try:\n            print('seen', call())\n"
+    "        except PermissionError:\n            pass\n"
+)
+
+
+def test_a_process_that_only_streams_looks_at_no_path():
+    act = (
+        "looks(lambda: os.stat('/etc/hostname'), lambda: os.lstat('/etc'), lambda: os.listdir('/'),\n"
+        "    lambda: os.readlink('/proc/self/exe'), lambda: os.statvfs('/'), lambda: os.getcwd(),\n"
+        "    lambda: os.stat('hostname', dir_fd=0), lambda: os.open('/etc', 0o10000000))\n"
+        "print(os.access('/etc/hostname', os.F_OK), os.path.exists('/etc'))"
+    )
+    done = run(act, more=LOOKS)
+    assert b"seen" not in done.stdout, done
+    assert done.stdout.splitlines()[-2:] == [b"False False", b"done"], done
+
+
+def test_a_reader_learns_of_other_paths_what_security_md_says_and_no_more(tmp_path: Path):
+    for path, text in ((tmp_path / "scene" / "a.txt", "mine"), (tmp_path / "other" / "api.key", "secret")):
+        path.parent.mkdir()
+        path.write_text(text)
+    for path in (tmp_path, *tmp_path.iterdir()):
+        path.chmod(0o755)
+    other = str(tmp_path / "other")
+    act = (
+        f"print(os.stat({other!r} + '/api.key').st_size)\n"
+        f"looks(lambda: os.listdir({other!r}), lambda: open({other!r} + '/api.key').read(),\n"
+        f"    lambda: os.listxattr({other!r}), lambda: os.utime({other!r}))"
+    )
+    done = run(act, readable=tmp_path / "scene", more=LOOKS)
+    assert done.stdout.split() == [b"6", b"done"], done
+
+
 def test_a_reader_opens_what_it_may_and_nothing_else(tmp_path: Path):
     (tmp_path / "scene").mkdir()
     (tmp_path / "scene" / "a.txt").write_text("mine")

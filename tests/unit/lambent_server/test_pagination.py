@@ -1,13 +1,16 @@
 """Lists of scenes and bundles, page by page, and how long a job is likely to take."""
 
+import base64
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from lambent_server.clock import now
-from lambent_server.database.schema import jobs
-from lambent_server.database.tenancy import change
+from lambent_server.database.schema import artifacts, jobs
+from lambent_server.database.tenancy import add, change
 from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
+from support.databases import postgresql
 from support.server_rows import add_bundle
 
 
@@ -83,3 +86,70 @@ def test_an_estimate_is_the_budget_until_jobs_were_measured(api: Api):
     assert (measured["num_measured"], measured["num_ahead"]) == (3, 1)
     assert ask("paper_glossy")["seconds"] is None
     expect_problem(api.post("/v1/estimates", json={"preset": "x"}), 422, "preset_unknown")
+
+
+def cursor_of(text: bytes) -> str:
+    """Return a cursor with this text."""
+    return base64.urlsafe_b64encode(text).decode().rstrip("=")
+
+
+IDS = (b"", b"\0", b"a b", b"\xff", "é".encode(), b"a" * 65, b"a\n", b"%", b"['a']")
+VALUES = (
+    *(
+        b"",
+        b"1",
+        b"[]",
+        b"[1,2]",
+        b'["1"]',
+        b"[true]",
+        b"[1.0]",
+        b"[-1]",
+        b"[null]",
+        b"{}",
+        b"[NaN]",
+        b"[\xff]",
+    ),
+    *(
+        b"[" + b"9" * 300 + b"]",
+        b"[2147483648]",
+        b"[" * 1400,
+        b"[" * 700 + b"]" * 700,
+        b"[9223372036854775808]",
+    ),
+)
+NAMES = (rb'["\ud800"]', rb'["\u0000"]', b'["\xed\xa0\x80"]', b"[1]", b'["a","b"]')
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_forged_cursors_are_refused(kind: str, tmp_path: Path):
+    with ExitStack() as stack:
+        given = {"database": stack.enter_context(postgresql())} if kind == "postgresql" else {}
+        api = stack.enter_context(opened(tmp_path / "data", **given))
+        job = api.job()["id"]
+        lists = dict.fromkeys(("scenes", "jobs", "bundles", "keys", "webhooks", "deliveries", "audit"), IDS)
+        lists |= {"batches": IDS, "environments": IDS, f"jobs/{job}/events": VALUES}
+        lists[f"jobs/{job}/artifacts"] = NAMES
+        for path, texts in lists.items():
+            for text in texts:
+                answer = api.get(f"/v1/{path}", params={"cursor": cursor_of(text)})
+                assert answer.status_code == 422, (path, text, answer.text)
+        # Another spelling of a cursor that would do.
+        spelt = cursor_of(b"job_0")[:-1] + "x"
+        expect_problem(api.get("/v1/jobs", params={"cursor": spelt}), 422, "cursor_invalid")
+        expect(api.get("/v1/jobs", params={"cursor": cursor_of(b"job_0")}), 200)
+
+
+def test_a_list_of_long_names_has_a_cursor_that_is_accepted(api: Api):
+    job = api.job()["id"]
+    names = [f"{'😀' * 60}/{'😀' * 60}/{'😀' * 60}/{number:02d}" for number in range(3)]
+    with api.services.database.write() as connection:
+        for name in names:
+            values = {"sha256": "0" * 64, "size_bytes": 1.0, "media_type": "a/b"}
+            connection.execute(add(TENANT, artifacts, job_id=job, name=name, **values))
+    seen, cursor = [], None
+    while cursor or not seen:
+        params = {"limit": 1, **({"cursor": cursor} if cursor else {})}
+        page = expect(api.get(f"/v1/jobs/{job}/artifacts", params=params), 200)
+        seen += [each["name"] for each in page["items"]]
+        cursor = page["next_cursor"]
+    assert seen == names

@@ -250,6 +250,10 @@ env:
   - name: RAY_AUTH_TOKEN
     valueFrom: {secretKeyRef: {name: {{ .Values.ray.authSecret }}, key: auth_token}}
   - {name: RAY_USAGE_STATS_ENABLED, value: "0"}
+  # Compiled kernels: these pods have no /data.
+  - {name: CUDA_CACHE_PATH, value: /home/lambent/cache/cuda}
+  - {name: NUMBA_CACHE_DIR, value: /home/lambent/cache/numba}
+  - {name: TRITON_CACHE_DIR, value: /home/lambent/cache/triton}
 securityContext:
   {{- include "lambent.containerSecurity" . | nindent 2 }}
 volumeMounts:

@@ -8,6 +8,7 @@ from typing import Any
 
 import lambent_pages
 import pytest
+from httpx2 import Request
 from lambent_server.app import describe
 from lambent_server.database.cluster_schema import login_codes
 from lambent_server.database.schema import api_keys
@@ -119,10 +120,31 @@ def test_only_a_hash_of_the_key_is_stored(api: Api):
 
 
 def test_a_foreign_host_name_is_refused(api: Api):
-    for host in ("evil.example", "localhost.evil.example", "127.0.0.1.nip.io:80", ""):
+    for host in ("evil.example", "localhost.evil.example", "127.0.0.1.nip.io:80"):
         expect_problem(api.get("/v1/jobs", headers={"host": host}), 421, "host_not_allowed")
     for host in ("localhost:1234", "127.0.0.1", "[::1]:80"):
         expect(api.get("/v1/jobs", headers={"host": host}), 200)
+
+
+def test_a_request_names_exactly_one_host(api: Api):
+    expect_problem(api.get("/v1/jobs", headers={"host": ""}), 400, "header_invalid")
+    two = [("host", "localhost"), ("host", "localhost")]
+    for other in ("localhost", "evil.example"):
+        headers = [("authorization", f"Bearer {KEY}"), two[0], ("host", other)]
+        request = Request("GET", "http://localhost/v1/jobs", headers=headers)
+        assert len(request.headers.get_list("host")) == 2
+        problem = expect_problem(api.client.send(request), 400, "header_invalid")
+        assert "2 Host headers" in problem["detail"]
+    for host in ("evil@localhost", "localhost/evil", "localhost:x", "localhost:999999", "[::1", "localhost?"):
+        expect_problem(api.get("/v1/jobs", headers={"host": host}), 400, "header_invalid")
+
+
+def test_text_that_nothing_can_store_is_refused_before_anybody_is_asked_for_a_key(api: Api):
+    nobody = api.other(None)
+    for path in ("/embed/%00", "/embed/%00/picture", "/v1/jobs/%ff", "/v1/jobs/%ed%a0%80", "/%0a", "/%7f"):
+        assert expect_problem(nobody.get(path), 400, "target_invalid")["errors"][0]["pointer"] == "#/path"
+    for query in ("q=%00", "label=a%3D%ff", "%00=1"):
+        assert "query" in expect_problem(api.get(f"/v1/jobs?{query}"), 400, "target_invalid")["detail"]
 
 
 def test_a_login_code_works_once_and_gives_a_cookie_scripts_cannot_read(api: Api):

@@ -83,7 +83,7 @@ def test_a_body_larger_than_planned_is_cut_off(api: Api):
         "con.png",
         "a.png ",
         "a/./b.png",
-        "\x00.png",
+        "\x01.png",
     ],
 )
 def test_paths_that_could_leave_the_folder_are_refused(api: Api, path: str):
@@ -272,3 +272,15 @@ def test_uploads_are_refused_when_the_disk_is_nearly_full(tmp_path: Path):
             assert expect_problem(answer, 507, "disk_floor")["retryable"]
         # Reading goes on.
         expect(api.get(f"/v1/jobs/{job['id']}"), 200)
+
+
+def test_a_form_is_no_archive_and_its_scene_stays_open(api: Api):
+    scene_id = new_scene(api)
+    for url in (f"/v1/scenes/{scene_id}/archive", f"/v1/scenes/{scene_id}/files/{sha256(b'a')}"):
+        if url.endswith(sha256(b"a")):
+            expect(api.post(f"/v1/scenes/{scene_id}/files:plan", json=plan_of({"a.png": b"a"})), 200)
+        problem = expect_problem(api.put(url, files={"file": b"PK"}), 415, "unsupported_media_type")
+        assert "curl -T" in problem["detail"]
+    assert expect(api.get(f"/v1/scenes/{scene_id}"), 200)["state"] == "open"
+    sky = api.post("/v1/environments", params={"name": "sky"}, files={"file": b"x"})
+    expect_problem(sky, 415, "unsupported_media_type")
