@@ -1,7 +1,7 @@
 """One known radiance, a polynomial of direction, written as an environment file in every layout and coding.
 
-Directions are built by turning a viewer, or by the sentences of a format's specification, never by the readers'
-tables. `python tests/support/environment_layouts.py` writes tests/golden/environments, which the tests of the
+Directions are built by turning a viewer, or by the sentences of a format's specification, never by the tables
+of the readers. `python tests/support/environment_layouts.py` writes tests/golden/environments, which the tests of the
 Python and of the TypeScript reader share.
 """
 
@@ -206,6 +206,31 @@ def _exr(path: Path, image: np.ndarray, **attributes: Any) -> None:
     OpenEXR.File(header, planes).write(str(path))
 
 
+def subsampled(image: np.ndarray) -> bytes:
+    """Return an uncompressed OpenEXR file whose blue has half the resolution."""
+    height, width, _ = image.shape
+
+    def attribute(name: str, kind: str, value: bytes) -> bytes:
+        return f"{name}\0{kind}\0".encode() + struct.pack("<i", len(value)) + value
+
+    names = (("B", 2), ("G", 1), ("R", 1))
+    channels = b"".join(n.encode() + b"\0" + struct.pack("<iiii", 1, 0, step, step) for n, step in names)
+    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    head = struct.pack("<ii", 20000630, 2) + attribute("channels", "chlist", channels + b"\0")
+    head += attribute("compression", "compression", b"\0") + attribute("lineOrder", "lineOrder", b"\0")
+    head += attribute("dataWindow", "box2i", window) + attribute("displayWindow", "box2i", window)
+    head += attribute("pixelAspectRatio", "float", struct.pack("<f", 1.0))
+    head += attribute("screenWindowCenter", "v2f", struct.pack("<2f", 0.0, 0.0))
+    head += attribute("screenWindowWidth", "float", struct.pack("<f", 1.0)) + b"\0"
+    halves, chunks, offsets = image.astype(np.float16), b"", []
+    for row in range(height):
+        line = (halves[row, ::2, 2].tobytes() if row % 2 == 0 else b"") + halves[row, :, 1].tobytes()
+        line += halves[row, :, 0].tobytes()
+        offsets.append(len(head) + 8 * height + len(chunks))
+        chunks += struct.pack("<ii", row, len(line)) + line
+    return head + struct.pack(f"<{height}Q", *offsets) + chunks
+
+
 def _window(left: int, top: int, right: int, bottom: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array([left, top], np.int32), np.array([right, bottom], np.int32)
 
@@ -259,6 +284,12 @@ def write_all(folder: Path) -> list[dict[str, Any]]:
     _exr(case("overscan.exr", read_as="latlong", coarse=True), larger, **windows)
     windows = {"dataWindow": _window(2, 0, 17, 7), "displayWindow": _window(0, 0, 15, 7)}
     _exr(case("shifted.exr", code="environment.exr_cropped"), small, **windows)
+    depth = OpenEXR.Part({}, {"Z": np.ones(SMALL, np.float32)}, "depth")
+    # The library puts its own objects in place of the arrays.
+    planes = {name: np.ascontiguousarray(small[..., at], np.float16) for at, name in enumerate("RGB")}
+    path = case("second_part.exr", read_as="latlong", coarse=True)
+    OpenEXR.File([depth, OpenEXR.Part({}, planes, "colour")]).write(str(path))
+    case("subsampled.exr", subsampled(small), code="environment.exr_channels")
     lit = np.where(cross_horizontal(SIDE) > 0.0, cross_horizontal(SIDE), latlong(3 * SIDE, 4 * SIDE))
     case("lit_cross.hdr", hdr(lit), code="environment.layout_unclear")
     case("lit_square.hdr", hdr(latlong(PROBE, PROBE)), code="environment.layout_unclear")
@@ -285,7 +316,8 @@ def index(cases: list[dict[str, Any]]) -> dict[str, Any]:
 def lines_of(data: dict[str, Any]) -> Iterator[str]:
     """Yield the index as text with a case a line."""
     yield '{\n "cases": [\n  ' + ",\n  ".join(json.dumps(case) for case in data["cases"]) + "\n ],\n"
-    yield f' "directions": {json.dumps(data["directions"])},\n "radiance": {json.dumps(data["radiance"])}\n}}\n'
+    yield f' "directions": {json.dumps(data["directions"])},\n'
+    yield f' "radiance": {json.dumps(data["radiance"])}\n}}\n'
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Layouts of environment maps: one known radiance in each, its orientation, its energy, and what is refused."""
+"""Layouts of environment maps: a known radiance in each, its orientation and energy, and what is refused."""
 
 import json
 
@@ -20,7 +20,7 @@ REFUSED = [case for case in INDEX["cases"] if "code" in case]
 
 
 def worst_error(environment, *, coarse=False):
-    """Return the greatest error, but for the poles of coarse maps and what is behind a probe, its thin rim."""
+    """Return the greatest error, but for the poles of coarse maps and what is behind a probe."""
     use = np.abs(DIRECTIONS[:, 2]) < 0.8 if coarse else np.ones(len(DIRECTIONS), bool)
     use &= DIRECTIONS[:, 0] > {"angular": -0.98, "mirror-ball": -0.7}.get(environment.read_as, -1.1)
     return np.abs(environment.lookup(DIRECTIONS) - RADIANCE)[use].max()
