@@ -1,8 +1,8 @@
 """One known radiance, a polynomial of direction, written as an environment file in every layout and coding.
 
 Directions are built by turning a viewer, or by the sentences of a format's specification, never by the tables
-of the readers. `python tests/support/environment_layouts.py` writes tests/golden/environments, which the tests of the
-Python and of the TypeScript reader share.
+of the readers. `python tests/support/environment_layouts.py` writes tests/golden/environments, which the
+tests of the Python and of the TypeScript reader share.
 """
 
 import json
