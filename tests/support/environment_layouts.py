@@ -289,6 +289,13 @@ def write_all(folder: Path) -> list[dict[str, Any]]:
     planes = {name: np.ascontiguousarray(small[..., at], np.float16) for at, name in enumerate("RGB")}
     path = case("second_part.exr", read_as="latlong", coarse=True)
     OpenEXR.File([depth, OpenEXR.Part({}, planes, "colour")]).write(str(path))
+    planes = {"G": np.ascontiguousarray(small[..., 1], np.float32)}
+    path = case("green_only.exr", code="environment.exr_channels")
+    OpenEXR.File({"type": OpenEXR.scanlineimage, "compression": OpenEXR.PIZ_COMPRESSION}, planes).write(
+        str(path)
+    )
+    ball = np.pad(mirror_ball(PROBE - 8), ((4, 4), (4, 4), (0, 0)))
+    case("ball_with_margin.hdr", hdr(ball), code="environment.layout_unclear")
     case("subsampled.exr", subsampled(small), code="environment.exr_channels")
     lit = np.where(cross_horizontal(SIDE) > 0.0, cross_horizontal(SIDE), latlong(3 * SIDE, 4 * SIDE))
     case("lit_cross.hdr", hdr(lit), code="environment.layout_unclear")

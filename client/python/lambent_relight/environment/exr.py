@@ -142,7 +142,8 @@ def _shown(path: Path, header: dict) -> tuple[tuple[int, int], tuple[int, int]]:
         raise _unusable(
             "environment.exr_cropped",
             path,
-            f"stores {stored[0]} x {stored[1]} pixels, which are not all of its {whole[0]} x {whole[1]}",
+            f"stores {stored[0]} x {stored[1]} pixels, its picture is {whole[0]} x {whole[1]} from column "
+            f"{begin[0]} and row {begin[1]} of them",
             "save the whole picture (data window equal to display window)",
         )
     return (begin[0], begin[1]), whole

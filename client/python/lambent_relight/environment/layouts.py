@@ -34,6 +34,8 @@ MAX_WIDTH = 8192
 _SUBSAMPLES = 3
 _DARK = 0.01
 """Share of the mean radiance up to which the unused parts of a picture count as empty."""
+_RIM = (0.95, 0.98)
+"""Distances from the middle of a probe between which at least something must be lit."""
 _ROWS_AT_ONCE = 32
 
 _X, _Y, _Z = np.eye(3)
@@ -112,8 +114,10 @@ def blank_unused(name: str, image: NDArray[np.float32], layout: str, *, certain:
     """Return the picture with black where the layout has no light: outside the disc or in a cross's corners.
 
     Unless the layout is `certain`, raises EnvironmentFileError where such a part is neither dark nor of one
-    colour, because then the picture is something else.
+    colour, or where a probe is black all around its rim, because then the picture is something else.
     """
+    if layout == "angular" and not certain and _is_black_at_its_rim(image):
+        raise _unclear(name, layout, "is black all around the rim, which shows what is behind")
     unused = _unused(layout, *image.shape[:2])
     if not unused.any():
         return image
@@ -123,12 +127,7 @@ def blank_unused(name: str, image: NDArray[np.float32], layout: str, *, certain:
     # One colour outside is a margin only where the rest has more than that colour.
     if not certain and not dark and not (plain and (inside != outside[0]).any()):
         part = "outside the disc" if layout == "angular" else "in the corners that a cross leaves empty"
-        raise EnvironmentFileError(
-            "environment.layout_unclear",
-            f'"{name}" has the size of {LAYOUTS[layout]}, but light {part}',
-            f"name its layout ({', '.join(LAYOUTS)}): --env-layout, or convert it to latitude-longitude; "
-            "octahedral maps and single faces are not read",
-        )
+        raise _unclear(name, layout, f"has light {part}")
     return np.where(unused[..., None], np.float32(0.0), image)
 
 
@@ -168,6 +167,29 @@ def to_latlong(image: NDArray[np.float32], layout: str, *, max_width: int = MAX_
     return result
 
 
+def _unclear(name: str, layout: str, but: str) -> EnvironmentFileError:
+    return EnvironmentFileError(
+        "environment.layout_unclear",
+        f'"{name}" has the size of {LAYOUTS[layout]}, but {but}',
+        f"name its layout ({', '.join(LAYOUTS)}): --env-layout, or convert it to latitude-longitude; "
+        "octahedral maps and single faces are not read",
+    )
+
+
+def _is_black_at_its_rim(image: NDArray[np.float32]) -> bool:
+    """Return whether a lit disc has no light at all in a ring near its edge, as a ball with a margin."""
+    radius = _radii(image.shape[0])
+    rim = (radius > _RIM[0]) & (radius < _RIM[1])
+    lit = (image != 0.0).any(axis=-1)
+    return bool(rim.any() and not lit[rim].any() and lit[radius <= _RIM[0]].any())
+
+
+def _radii(side: int) -> NDArray[np.float64]:
+    """Return the distance of pixels from the middle of a square, 1 at the edge."""
+    place = (np.arange(side) + 0.5) * (2.0 / side) - 1.0
+    return np.hypot(place[:, None], place)
+
+
 def _fits(layout: str, height: int, width: int) -> bool:
     columns, rows = _GRIDS[layout]
     return width * rows == height * columns and width % columns == 0
@@ -176,9 +198,8 @@ def _fits(layout: str, height: int, width: int) -> bool:
 def _unused(layout: str, height: int, width: int) -> NDArray[np.bool_]:
     """Return which pixels [height, width] show no direction."""
     if layout in ("angular", "mirror-ball"):
-        place = (np.arange(height) + 0.5) * (2.0 / height) - 1.0
         # Edges are soft in pictures: two pixels around the disc may be lit.
-        return np.hypot(place[:, None], place) > 1.0 + 4.0 / height
+        return _radii(height) > 1.0 + 4.0 / height
     unused = np.zeros((height, width), np.bool_)
     if layout.startswith("cross"):
         side = width // _GRIDS[layout][0]

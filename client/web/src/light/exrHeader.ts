@@ -40,6 +40,8 @@ export type Stated = {
   readonly end: number;
 };
 
+const deep = 8;
+
 /** Return the fault of a file that is no whole OpenEXR picture. */
 export function damaged(): MapFault {
   return new MapFault("environment.exr_damaged", ...mapFaults.exrDamaged());
@@ -119,14 +121,20 @@ export function channelsOf(view: DataView | undefined): Channel[] | null {
   return channels;
 }
 
-/** Throw for red, green or blue at reduced resolution, on which decoders differ. */
-export function refuseSubsampled({ attributes }: Stated): void {
-  const colours = channelsOf(attributes.get("channels"))?.filter(({ name }) =>
-    ["R", "G", "B"].includes(name),
-  );
-  if (colours?.some(({ xSampling, ySampling }) => xSampling !== 1 || ySampling !== 1)) {
+/** Throw for a flat picture without red, green and blue at full resolution, on which decoders differ. */
+export function checkChannels({ attributes, flags }: Stated): void {
+  const channels = channelsOf(attributes.get("channels"));
+  if (channels === null || flags & deep) return;
+  if (!hasColour(attributes)) throw withoutColour(channels.map(({ name }) => name));
+  const colours = channels.filter(({ name }) => ["R", "G", "B"].includes(name));
+  if (colours.some(({ xSampling, ySampling }) => xSampling !== 1 || ySampling !== 1)) {
     throw new MapFault("environment.exr_channels", ...mapFaults.exrSubsampled());
   }
+}
+
+function withoutColour(names: string[]): MapFault {
+  const shown = names.sort().slice(0, 16).join(", ");
+  return new MapFault("environment.exr_channels", ...mapFaults.exrChannels(shown));
 }
 
 /** Return the layout that the attribute envmap states, if it is there. */
@@ -142,10 +150,7 @@ export function checkHeader(header: Header, width: number, height: number): Show
   }
   const names = (header.channels ?? []).map((channel) => channel.name);
   if (!["R", "G", "B"].every((name) => names.includes(name))) {
-    throw new MapFault(
-      "environment.exr_channels",
-      ...mapFaults.exrChannels(names.sort().slice(0, 16).join(", ")),
-    );
+    throw withoutColour(names);
   }
   const shown = header.displayWindow;
   if (shown === undefined) throw damaged();

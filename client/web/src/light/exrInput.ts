@@ -7,10 +7,10 @@ import { FloatType } from "three";
 import { EXRLoader } from "three/addons/loaders/EXRLoader.js";
 import type { EnvironmentMap } from "../engine/environmentMap.js";
 import {
+  checkChannels,
   checkHeader,
   damaged,
   type Header,
-  refuseSubsampled,
   shownOf,
   statedBy,
   statedLayout,
@@ -31,7 +31,7 @@ export async function readExr(
   maxPixels: number,
 ): Promise<EnvironmentMap & { readonly stated?: Layout }> {
   const stated = statedBy(data, maxPixels);
-  refuseSubsampled(stated);
+  checkChannels(stated);
   const layout = statedLayout(stated);
   const lines = halfLinesOf(stated);
   if (lines === null) return { ...decodedByThree(data, stated.part), ...(layout && { stated: layout }) };

@@ -89,6 +89,7 @@ export function decidedLayout(map: EnvironmentMap, stated?: Layout, given?: Layo
  */
 export function blankUnused(map: EnvironmentMap, layout: Layout, certain: boolean): EnvironmentMap {
   if (layout === "latlong") return map;
+  if (layout === "angular" && !certain && isBlackAtItsRim(map)) throw unclear(layout);
   const unused = unusedBy(layout, map);
   const sums = [0, 0];
   const counts = [0, 0];
@@ -110,7 +111,7 @@ export function blankUnused(map: EnvironmentMap, layout: Layout, certain: boolea
   }
   const isDark = sums[1]! / counts[1]! <= (dark * sums[0]!) / Math.max(counts[0]!, 1);
   if (!certain && !isDark && !(plain && insideDiffers)) {
-    throw new MapFault("environment.layout_unclear", ...mapFaults.layoutUnclear(mapFaults.layouts[layout]));
+    throw unclear(layout);
   }
   return { ...map, radianceRgb };
 }
@@ -149,6 +150,28 @@ export function toLatLong(map: EnvironmentMap, layout: Layout, maxWidth: number)
     }
   }
   return { height, width, radianceRgb };
+}
+
+function unclear(layout: Layout): MapFault {
+  return new MapFault("environment.layout_unclear", ...mapFaults.layoutUnclear(mapFaults.layouts[layout]));
+}
+
+/** Return whether a disc that is lit has no light at all in a ring near its edge, as a ball with a margin. */
+function isBlackAtItsRim({ width, radianceRgb }: EnvironmentMap): boolean {
+  let [ring, inside, pixels] = [false, false, 0];
+  for (let at = 0; at < width * width; at++) {
+    const radius = Math.hypot(
+      (2 * Math.floor(at / width) + 1) / width - 1,
+      (2 * (at % width) + 1) / width - 1,
+    );
+    if (radius >= 0.98) continue;
+    const lit = radianceRgb[3 * at] !== 0 || radianceRgb[3 * at + 1] !== 0 || radianceRgb[3 * at + 2] !== 0;
+    if (radius > 0.95) {
+      pixels++;
+      ring ||= lit;
+    } else inside ||= lit;
+  }
+  return pixels > 0 && inside && !ring;
 }
 
 function fits(layout: OtherLayout, height: number, width: number): boolean {

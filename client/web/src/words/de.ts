@@ -176,7 +176,7 @@ export const mapFaults: MapFaults = {
       "`lambent probe MAP --env-layout NAME -o DIR` umwandeln",
   ],
   layoutUnclear: (layout) => [
-    `das Umgebungsbild hat die Größe für „${layout}“, aber Licht an Stellen, die dort leer sind`,
+    `das Umgebungsbild hat die Größe für „${layout}“, aber Licht an Stellen, die dort leer sind, oder keines am Rand`,
     "in Länge und Breite umwandeln, etwa mit `lambent probe MAP --env-layout NAME -o DIR`",
   ],
   layouts: {

@@ -184,7 +184,7 @@ export const mapFaults = {
       "1:6) or a square light probe; or convert it with `lambent probe MAP --env-layout NAME -o DIR`",
   ],
   layoutUnclear: (layout: string): Fault => [
-    `the environment map has the size of ${layout}, but light where that has none`,
+    `the environment map has the size of ${layout}, but light where that has none, or none where that has some`,
     "convert it to latitude-longitude, for instance with `lambent probe MAP --env-layout NAME -o DIR`",
   ],
   layouts: {
