@@ -52,6 +52,18 @@ Bounces = Annotated[
 Occlusion = Literal["auto", "mesh", "cache"]
 ToneMapping = Literal["linear", "neutral", "aces", "agx"]
 Axes = Literal["blender", "threejs", "mitsuba", "skylibs"]
+Layout = Literal[
+    "auto",
+    "latlong",
+    "angular",
+    "mirror-ball",
+    "cross-horizontal",
+    "cross-vertical",
+    "strip-horizontal",
+    "strip-vertical",
+    "cube",
+]
+"""How a file shows a sphere; "auto" is what it states, or else what its size says."""
 Pass = Literal[
     "direct",
     "indirect",
@@ -97,6 +109,7 @@ class RenderEnvironment(Wanted):
     """Default: the environment's own."""
     environment_id: Identifier
     axes: Axes = "blender"
+    layout: Layout = "auto"
     mend: bool = False
     sun_clamp: Annotated[float, Field(ge=0.0, le=1e30)] = 0.0
     rotate_deg: Angle = 0.0

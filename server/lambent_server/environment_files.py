@@ -116,7 +116,7 @@ def _read_hdr(head: bytes) -> EnvironmentHead:
     match = _HDR_SIZE.match(head, end + 1) if end >= 0 else None
     if match is None:
         raise _broken("the Radiance file does not state its size")
-    first, rows, _, columns = match.groups()
-    if not first.endswith(b"Y"):
-        raise _broken("only Radiance files that are stored row by row are supported")
-    return EnvironmentHead("hdr", int(columns), int(rows))
+    sizes = {match[1][1:]: int(match[2]), match[3][1:]: int(match[4])}
+    if len(sizes) < 2:
+        raise _broken("the Radiance file does not state both of its sizes")
+    return EnvironmentHead("hdr", sizes[b"X"], sizes[b"Y"])

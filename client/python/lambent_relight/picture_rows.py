@@ -17,6 +17,8 @@ class PictureRows:
     width: int
     rows: Callable[[slice], NDArray[np.float32]]
     """Linear values of some rows, [row, width, 3]."""
+    layout: str | None = None
+    """The layout of an environment that the file states, if it does: "latlong", or "cube" as in OpenEXR."""
 
 
 def block_means(picture: PictureRows, step: int) -> NDArray[np.float32]:

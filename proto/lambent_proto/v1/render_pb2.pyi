@@ -45,20 +45,22 @@ class RenderMaterial(_message.Message):
     def __init__(self, albedo_gain: _Optional[_Iterable[float]] = ..., albedo: _Optional[_Iterable[float]] = ..., roughness_scale: _Optional[float] = ...) -> None: ...
 
 class RenderEnvironment(_message.Message):
-    __slots__ = ("name", "environment_id", "axes", "mend", "sun_clamp", "rotate_deg")
+    __slots__ = ("name", "environment_id", "axes", "mend", "sun_clamp", "rotate_deg", "layout")
     NAME_FIELD_NUMBER: _ClassVar[int]
     ENVIRONMENT_ID_FIELD_NUMBER: _ClassVar[int]
     AXES_FIELD_NUMBER: _ClassVar[int]
     MEND_FIELD_NUMBER: _ClassVar[int]
     SUN_CLAMP_FIELD_NUMBER: _ClassVar[int]
     ROTATE_DEG_FIELD_NUMBER: _ClassVar[int]
+    LAYOUT_FIELD_NUMBER: _ClassVar[int]
     name: str
     environment_id: str
     axes: str
     mend: bool
     sun_clamp: float
     rotate_deg: float
-    def __init__(self, name: _Optional[str] = ..., environment_id: _Optional[str] = ..., axes: _Optional[str] = ..., mend: _Optional[bool] = ..., sun_clamp: _Optional[float] = ..., rotate_deg: _Optional[float] = ...) -> None: ...
+    layout: str
+    def __init__(self, name: _Optional[str] = ..., environment_id: _Optional[str] = ..., axes: _Optional[str] = ..., mend: _Optional[bool] = ..., sun_clamp: _Optional[float] = ..., rotate_deg: _Optional[float] = ..., layout: _Optional[str] = ...) -> None: ...
 
 class RenderCameras(_message.Message):
     __slots__ = ("name", "turntable", "elevation_deg", "radius", "field_of_view_deg", "start_deg", "views", "all_views", "poses", "size")

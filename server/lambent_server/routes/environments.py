@@ -50,7 +50,10 @@ async def create_environment(
     name: Annotated[str, Query(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")],
     key: IdempotencyKey = None,
 ) -> Environment:
-    """Upload a latitude-longitude picture; only its header is checked before a job reads its pixels."""
+    """Upload an environment map; only its header is checked before a job reads its pixels.
+
+    Light probes and cubes are converted to latitude-longitude by the job, which may state the layout.
+    """
     async with received(services, request, services.settings.max_environment_bytes) as upload:
         return await to_thread.run_sync(_take, services, who, name, upload, key, limiter=services.decoders)
 

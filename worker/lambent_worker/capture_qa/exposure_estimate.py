@@ -10,6 +10,7 @@ from jaxtyping import Float64
 from lambent_proto.v1 import capture_pb2, scene_pb2
 from numpy import ndarray
 
+from lambent_worker.measured import measured
 from lambent_worker.scenes import glossy_synthetic, openillumination, tensoir_synthetic
 from lambent_worker.scenes.problems import Problems
 
@@ -36,10 +37,10 @@ def even_out_exposure(
     """
     if len(manifest.lights) != 1 or manifest.layout in FIXED_LAYOUTS or not figures.has_hull:
         return
-    measured = {view.name: view for view in figures.views}
-    if any(frame.name not in measured or not measured[frame.name].pictures for frame in manifest.frames):
+    by_name = {view.name: view for view in figures.views}
+    if any(frame.name not in by_name or not by_name[frame.name].pictures for frame in manifest.frames):
         return
-    views = [measured[frame.name] for frame in manifest.frames]
+    views = [by_name[frame.name] for frame in manifest.frames]
     left = np.array([view.pictures[0].exposure_ev for view in views])
     noise = max(LEAST_NOISE_EV, NOISE_SHARE * float(np.median([view.mismatch_ev for view in views])))
     if believed_share(left, noise) < LEAST_SHARE:
@@ -49,7 +50,8 @@ def even_out_exposure(
     if np.ptp(stated) > 0.0 and without.var() < CONTRADICTED * left.var():
         problems.warning(
             "scene.exposure_contradicted",
-            f"the photographs say that they were exposed differently (by up to {_range_ev(stated):.1f} EV), "
+            "the photographs say that they were exposed differently (by up to "
+            f"{measured(_range_ev(stated), 1)} EV), "
             "but show the same points equally bright, so what they say is not used; check whether their "
             "brightness was changed afterwards or their EXIF was copied",
         )
@@ -89,7 +91,8 @@ def _note_estimate(
     brightest, darkest = int(offsets.argmax()), int(offsets.argmin())
     problems.warning(
         "scene.exposure_estimated",
-        f"the same points of the object differ by {np.ptp(offsets):.1f} EV between photographs, from "
+        f"the same points of the object differ by {measured(np.ptp(offsets), 1)} EV between "
+        "photographs, from "
         f'"{manifest.frames[darkest].name}" to "{manifest.frames[brightest].name}", which is taken for a '
         "change of exposure and evened out; fixed exposure and white balance give better colours",
         manifest.frames[brightest].name,

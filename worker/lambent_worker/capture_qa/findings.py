@@ -7,6 +7,7 @@ import numpy as np
 from lambent_proto.v1 import capture_pb2
 
 from lambent_worker.capture_qa.limits import CaptureLimits
+from lambent_worker.measured import measured, significant
 from lambent_worker.scenes.problems import Problems
 
 View = capture_pb2.ViewFigures
@@ -65,10 +66,11 @@ def _note_views(figures: capture_pb2.CaptureFigures, limits: CaptureLimits, prob
     if figures.upper_gap_deg > limits.gap_deg:
         problems.warning(
             "scene.views_gap",
-            f"no photograph was taken within {figures.upper_gap_deg:.0f} degrees of azimuth "
-            f"{figures.upper_gap_azimuth_deg:.0f}, elevation {figures.upper_gap_elevation_deg:.0f} degrees "
-            f"(the views reach from {figures.lowest_elevation_deg:.0f} to "
-            f"{figures.highest_elevation_deg:.0f} degrees above the horizon); add some from there",
+            f"no photograph was taken within {measured(figures.upper_gap_deg)} degrees of azimuth "
+            f"{measured(figures.upper_gap_azimuth_deg)}, elevation "
+            f"{measured(figures.upper_gap_elevation_deg)} degrees "
+            f"(the views reach from {measured(figures.lowest_elevation_deg)} to "
+            f"{measured(figures.highest_elevation_deg)} degrees above the horizon); add some from there",
         )
 
 
@@ -103,7 +105,7 @@ def _note_masks(
             what = f"its mask leaves out {_percent(hole)} that other views show"
             missing.append(_Complaint(view.name, view.name, hole, what))
         elif view.mismatch_ev > max(limits.mismatch_ev, 2.0 * usual_mismatch):
-            what = f"points of the object look different in it by {view.mismatch_ev:.1f} EV"
+            what = f"points of the object look different in it by {measured(view.mismatch_ev, 1)} EV"
             turned.append(_Complaint(view.name, view.name, 0.1 * view.mismatch_ev, what))
         elif view.speck_share > limits.speck_share and view.num_specks >= limits.min_specks:
             what = f"its mask has {view.num_specks} specks"
@@ -132,8 +134,8 @@ def _note_exposure(
     if figures.exposure_range_ev > limits.drift_ev:
         problems.warning(
             "scene.exposure_drift",
-            f"the same points of the object differ by {figures.exposure_range_ev:.1f} EV between pictures; "
-            + advice,
+            f"the same points of the object differ by {measured(figures.exposure_range_ev, 1)} EV between "
+            "pictures; " + advice,
         )
         return
     jumps = [picture.exposure_jump_ev for view in figures.views for picture in view.pictures]
@@ -173,7 +175,8 @@ def _blurred(picture: capture_pb2.PictureFigures) -> str:
 
 def _exposed(picture: capture_pb2.PictureFigures) -> str:
     how = "brighter" if picture.exposure_jump_ev > 0.0 else "darker"
-    return f"it is {abs(picture.exposure_jump_ev):.1f} EV {how} than its neighbours show the same points"
+    jump = measured(abs(picture.exposure_jump_ev), 1)
+    return f"it is {jump} EV {how} than its neighbours show the same points"
 
 
 def _note(
@@ -195,4 +198,4 @@ def _note(
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.3g} %"
+    return f"{significant(100.0 * share, 3)} %"

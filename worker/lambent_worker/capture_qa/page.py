@@ -9,6 +9,7 @@ from lambent_worker.capture_qa.check_result import CaptureCheck, capture_record
 from lambent_worker.capture_qa.limits import CaptureLimits
 from lambent_worker.capture_qa.plot import plot_views
 from lambent_worker.files import write_json
+from lambent_worker.measured import measured
 
 
 def build_page(name: str, checked: CaptureCheck, limits: CaptureLimits) -> str:
@@ -32,6 +33,7 @@ def build_page(name: str, checked: CaptureCheck, limits: CaptureLimits) -> str:
     environment = Environment(
         loader=PackageLoader("lambent_worker.capture_qa", "."), autoescape=True, undefined=StrictUndefined
     )
+    environment.filters["measured"] = measured
     return environment.get_template("page.html.j2").render(
         name=name,
         report=report,
@@ -68,20 +70,20 @@ def _figures(
     sharpness = min((picture.sharpness for picture in view.pictures if picture.sharpness), default=0.0)
     jump = max((picture.exposure_jump_ev for picture in view.pictures), key=abs, default=0.0)
     rows = [
-        ("sharpness", f"{sharpness:.2f}", 0.0 < sharpness < limits.sharpness),
-        ("clipped", f"{100.0 * clipped:.1f} %", clipped > limits.clipped_share),
+        ("sharpness", f"{measured(sharpness, 2)}", 0.0 < sharpness < limits.sharpness),
+        ("clipped", f"{measured(100.0 * clipped, 1)} %", clipped > limits.clipped_share),
     ]
     if figures.has_hull:
         rows += [
-            ("exposure", f"{jump:+.2f} EV", abs(jump) > limits.exposure_ev),
+            ("exposure", f"{measured(jump, 2, signed=True)} EV", abs(jump) > limits.exposure_ev),
             (
                 "unexplained",
-                f"{100.0 * view.unexplained_share:.1f} %",
+                f"{measured(100.0 * view.unexplained_share, 1)} %",
                 view.unexplained_share > limits.unexplained_share,
             ),
             (
                 "cut away",
-                f"{100.0 * max(view.carved_share, view.hole_share):.1f} %",
+                f"{measured(100.0 * max(view.carved_share, view.hole_share), 1)} %",
                 max(view.carved_share, view.hole_share) > limits.missing_share,
             ),
         ]

@@ -12,6 +12,7 @@ from lambent_worker.capture_qa.photographs import (
     PhotographsFigures,
     look,
 )
+from lambent_worker.measured import measured
 from lambent_worker.scenes.frames import listed
 from lambent_worker.scenes.picture_error import NOTHING_SKIPPED
 from lambent_worker.scenes.picture_files import photographs_in
@@ -71,7 +72,8 @@ def note_photographs(
     if figures.exposure_range_ev > limits.exposure_ev:
         problems.warning(
             "scene.exposure_spread",
-            f"the photographs differ in brightness by {figures.exposure_range_ev:.1f} EV; fix the exposure "
+            f"the photographs differ in brightness by {measured(figures.exposure_range_ev, 1)} EV; fix "
+            "the exposure "
             "(on a "
             "telephone: hold the finger on the object until it is locked)",
         )
@@ -156,7 +158,8 @@ def _note_each(usable: Sequence[PhotographFigures], limits: PhotographLimits, pr
     _note(
         "scene.image_blurred",
         sorted(blurred, key=lambda each: each.sharpness),
-        f"blurred photographs, with less than {100.0 * limits.sharpness:.0f} % of the fine detail of the "
+        f"blurred photographs, with less than {measured(100.0 * limits.sharpness)} % of the fine "
+        "detail of the "
         "sharpest",
         "take them again in focus and without motion, or leave them out",
         problems,
@@ -164,7 +167,8 @@ def _note_each(usable: Sequence[PhotographFigures], limits: PhotographLimits, pr
     _note(
         "scene.image_clipped",
         sorted(clipped, key=lambda each: -each.clipped_share),
-        f"photographs that are overexposed in more than {100.0 * limits.clipped_share:.0f} % of their area",
+        f"photographs that are overexposed in more than {measured(100.0 * limits.clipped_share)} % of "
+        "their area",
         "what is clipped on the object is lost, so expose less",
         problems,
     )

@@ -17,6 +17,7 @@ from lambent_worker.capture_qa import photograph_measures as measures
 from lambent_worker.capture_qa.observe import portrait_of, thumbnail_of
 from lambent_worker.capture_qa.photograph_limits import PhotographLimits
 from lambent_worker.files import file_sha256
+from lambent_worker.measured import significant
 from lambent_worker.scenes.exif import ExifFacts, exif_facts
 from lambent_worker.scenes.picture_error import NOTHING_SKIPPED, SKIPPED, PictureError
 from lambent_worker.scenes.pictures import LINEAR_SUFFIXES, opened, picture_format, picture_size, read_picture
@@ -255,7 +256,7 @@ def _lens(each: PhotographFigures) -> str:
     facts = each.facts
     long, short = max(each.width, each.height), min(each.width, each.height)
     words = [facts.camera, facts.lens if facts.lens != facts.camera else ""]
-    words.append(f"{facts.focal_mm:.4g} mm" if facts.focal_mm else "")
-    words.append(f"zoom {facts.digital_zoom:.3g}" if facts.digital_zoom > 1.0 else "")
+    words.append(f"{significant(facts.focal_mm, 4)} mm" if facts.focal_mm else "")
+    words.append(f"zoom {significant(facts.digital_zoom, 3)}" if facts.digital_zoom > 1.0 else "")
     known = ", ".join(word for word in words if word)
     return f"{known or 'unknown camera'}, {long} x {short}"

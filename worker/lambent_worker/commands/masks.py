@@ -10,6 +10,7 @@ import typer
 
 from lambent_worker.commands.shared import Json, Layout, reporting_errors, require_worker, stopping_on_signals
 from lambent_worker.errors import UsageError
+from lambent_worker.measured import measured
 
 if TYPE_CHECKING:
     from lambent_worker.console_reporter import ConsoleReporter
@@ -162,7 +163,7 @@ def _tell_written(
         return
     written.require_credible()
     if not segmented:
-        typer.echo(f"the views agree to {100.0 * written.overlap:.0f} %")
+        typer.echo(f"the views agree to {measured(100.0 * written.overlap)} %")
     _tell_doubtful(written.doubtful)
     typer.echo(f"thumbnails: {written.sheet}")
     typer.echo(f'look at them, then: lambent train "{scene_dir}" --masks "{written.folder}" -o {out}')

@@ -10,6 +10,7 @@ import typer
 from lambent_worker.commands import shared
 from lambent_worker.commands.shared import Device, Json, Layout, reporting_errors, stopping_on_signals
 from lambent_worker.errors import UsageError
+from lambent_worker.measured import measured
 
 
 @reporting_errors
@@ -160,7 +161,8 @@ def evaluate(
             # Figures of pictures in single lights are in the report.
             if metric.name.count("/") == 1 or metric.name.startswith("environment/"):
                 unit = "" if metric.unit == "1" else f" {metric.unit}"
-                typer.echo(f"{metric.name:32s} {metric.value:9.3f} +- {metric.standard_error:.3f}{unit}")
+                value, error = measured(metric.value, 3), measured(metric.standard_error, 3)
+                typer.echo(f"{metric.name:32s} {value:>9} +- {error}{unit}")
         for row in report.absent:
             typer.echo(f"{row.name:32s}         - {row.reason}")
         typer.echo(f"report: {out / 'report.html'}")

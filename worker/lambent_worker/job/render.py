@@ -102,6 +102,8 @@ def manifest_of(spec: render_pb2.RenderSpec, inputs: Path) -> Manifest:
     maps = {path.stem: path for path in (inputs / "environments").glob("*")}
     for light in document["environments"]:
         identifier = light.pop("environment_id")
+        # A server that does not know the field leaves it empty.
+        light["layout"] = light["layout"] or "auto"
         light["map"] = str(maps.get(identifier, inputs / "environments" / identifier))
     document["qualities"] = [
         _without_empty(entry, "bounces", "tone_mapping", "occlusion") for entry in document["qualities"]

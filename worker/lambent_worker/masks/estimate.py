@@ -18,6 +18,7 @@ from lambent_worker.masks.consensus import ConsensusSettings, Leaning, MaskView,
 from lambent_worker.masks.evidence import lab_of, separation
 from lambent_worker.masks.outline import refine_outline
 from lambent_worker.masks.photograph import Photograph
+from lambent_worker.measured import measured, significant
 from lambent_worker.scenes.extent import looked_at_point
 from lambent_worker.scenes.picture import box_averaged
 from lambent_worker.scenes.problems import Problems
@@ -192,12 +193,13 @@ def why_not_credible(found: Estimate, settings: EstimateSettings) -> str:
     share = float(np.median([(coverage >= 0.5).mean() for coverage in found.coverages]))
     overlap = float(np.median(found.consistency.overlap))
     if not settings.smallest_share <= share <= settings.largest_share:
-        return f"what was found covers {100.0 * share:.2g} % of the pictures"
+        return f"what was found covers {significant(100.0 * share, 2)} % of the pictures"
     explained = float(np.median(found.consistency.explained))
     if overlap < settings.min_consistency or explained < settings.min_explained:
         return (
-            f"what was found overlaps by {100.0 * overlap:.0f} % with what the other views make of it, at "
-            f"least {100.0 * settings.min_consistency:.0f} % are needed"
+            f"what was found overlaps by {measured(100.0 * overlap)} % with what the other views make of "
+            "it, at "
+            f"least {measured(100.0 * settings.min_consistency)} % are needed"
         )
     if np.median(found.separation) < settings.min_separation:
         return "what was found has no colours of its own; it looks like its background"

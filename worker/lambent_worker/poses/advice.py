@@ -7,6 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from lambent_worker.capture_qa.sphere import unit_directions
+from lambent_worker.measured import measured
 from lambent_worker.poses.solution import Solution
 from lambent_worker.scenes.extent import looked_at_point
 from lambent_worker.scenes.frames import listed
@@ -26,6 +27,8 @@ class PoseLimits:
     """Points in common with its best partner below which a photograph has no neighbour."""
     reprojection_error_px: float = 1.0
     """Good solutions have 0.2 to 0.6."""
+    unusable_px: float = 16.0
+    """No camera is right if points are this far off in the mean, or their error is no number."""
     field_deg: float = 90.0
     """Wider than most lenses: rather the sign of a pattern that repeats."""
     flat_share: float = 0.8
@@ -56,6 +59,16 @@ def advise(solution: Solution, limits: PoseLimits, problems: Problems) -> None:
             missing[0],
         )
         return
+    if not solution.reprojection_error_px <= limits.unusable_px:
+        problems.error(
+            "scene.poses_unusable",
+            "the cameras do not explain the photographs (reprojection error in pixels: "
+            f"{measured(solution.reprojection_error_px, 1)}, at most {measured(limits.unusable_px)}); "
+            "photograph with fixed zoom and focus, in steps of 10 to 15 degrees, and keep what moves out of "
+            "the pictures or give masks",
+            solution.names[0],
+        )
+        return
     if found < limits.min_share * total:
         problems.error(
             "scene.poses_few",
@@ -80,19 +93,22 @@ def advise(solution: Solution, limits: PoseLimits, problems: Problems) -> None:
     if solution.reprojection_error_px > limits.reprojection_error_px:
         problems.warning(
             "scene.poses_inexact",
-            f"points are {solution.reprojection_error_px:.1f} pixels away from where the cameras put them; "
+            f"points are {measured(solution.reprojection_error_px, 1)} pixels away from where the cameras "
+            "put them; "
             "fix zoom and focus, hold still, and keep what moves out of the pictures or give masks",
         )
     if solution.field_deg > limits.field_deg:
         problems.warning(
             "scene.poses_lens",
-            f"the lens would have a field of view of {solution.field_deg:.0f} degrees; if it has not, the "
+            f"the lens would have a field of view of {measured(solution.field_deg)} degrees; if it has "
+            "not, the "
             "cameras are wrong: something repeats, such as tiles or a fabric, so give masks or cover it",
         )
     if solution.static_background:
         problems.warning(
             "scene.static_background",
-            f"the background stands still in {100.0 * solution.still_share:.0f} % of the pairs while the "
+            f"the background stands still in {measured(100.0 * solution.still_share)} % of the pairs "
+            "while the "
             "object moves, as on a turntable; only what moves was used for the cameras. The light then turns "
             "with the camera, seen from the object: train with --light-fixed-to camera",
         )
@@ -100,7 +116,8 @@ def advise(solution: Solution, limits: PoseLimits, problems: Problems) -> None:
     if gap is not None and gap[0] > limits.gap_deg:
         problems.warning(
             "scene.poses_gap",
-            f"there are {gap[0]:.0f} degrees between {gap[1]} and {gap[2]} on the way around the object; "
+            f"there are {measured(gap[0])} degrees between {gap[1]} and {gap[2]} on the way around the "
+            "object; "
             "photograph the way between them",
             gap[1],
         )

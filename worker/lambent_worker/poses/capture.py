@@ -10,6 +10,7 @@ from PIL import Image
 
 from lambent_worker.errors import SceneRefusedError, UsageError
 from lambent_worker.files import digest, file_sha256, read_record, write_json
+from lambent_worker.measured import measured
 from lambent_worker.messages import message_to_dict
 from lambent_worker.poses.advice import PoseLimits, advise
 from lambent_worker.poses.apart import solve_apart
@@ -69,7 +70,7 @@ def summary(record: dict[str, Any]) -> str:
     """Return in words how well cameras were found."""
     return (
         f"cameras for {record['registered']} of {record['photographs']} photographs, "
-        f"{record['points']} points, reprojection error {record['reprojection_error_px']:.2f} pixels"
+        f"{record['points']} points, reprojection error {measured(record['reprojection_error_px'], 2)} pixels"
     )
 
 

@@ -12,18 +12,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pycolmap
 
 from lambent_worker.poses.agreement import contradicted
 from lambent_worker.poses.database import quiet
+from lambent_worker.poses.sanity import MIN_ANGLE_DEG, drop_unusable, outlier_limit_px
 
 MIN_MODEL = 3
 """Photographs that a model must have to count."""
-OUTLIER_PX, OUTLIER_MEDIANS = 1.0, 3.0
-"""Work pixels, or medians if that is more, from which on a sighting is left out; COLMAP's limit is 4."""
-MIN_ANGLE_DEG = 1.5
-"""Between the rays to a point; smaller ones say nothing of its distance."""
 ROBUST_PX = 0.5
 """Work pixels from which on an error counts less than its square."""
 
@@ -48,16 +44,18 @@ def place_cameras(
     if large:
         _place_again(large, database, scratch, seed, watch)
         refine(large[0])
+        if large[0].num_reg_images() < MIN_MODEL:
+            return large[1:]
     return large
 
 
 def refine(model: Model) -> None:
-    """Leave out what fits badly and adjust all cameras and points together, with a robust loss."""
+    """Leave out what fits badly and adjust all cameras and points together, with a robust loss.
+
+    What cannot be afterwards is taken out as well, cameras among it (`sanity.drop_unusable`).
+    """
     for _ in range(2):
-        model.update_point_3d_errors()
-        errors = [point.error for point in model.points3D.values()]
-        limit = max(OUTLIER_PX, OUTLIER_MEDIANS * float(np.median(errors)) if errors else 0.0)
-        pycolmap.ObservationManager(model).filter_all_points3D(limit, MIN_ANGLE_DEG)
+        pycolmap.ObservationManager(model).filter_all_points3D(outlier_limit_px(model), MIN_ANGLE_DEG)
         options = pycolmap.BundleAdjustmentOptions()
         options.print_summary = False
         options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
@@ -70,7 +68,8 @@ def refine(model: Model) -> None:
         # Not pycolmap.bundle_adjustment, which turns COLMAP's log on again.
         with quiet():
             pycolmap.create_default_bundle_adjuster(options, everything, model).solve()
-    model.update_point_3d_errors()
+    # The last adjustment may have pushed points behind cameras.
+    drop_unusable(model)
 
 
 def _run(database: Path, scratch: Path, seed: int, watch: "_Watch", start: Path | None = None) -> list[Model]:

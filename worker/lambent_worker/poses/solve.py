@@ -26,7 +26,7 @@ from lambent_worker.poses.solution import MODEL, Solution, mean_error_px
 from lambent_worker.poses.survey import Survey, choose_pairs, survey
 from lambent_worker.poses.upright import up_direction, z_up
 
-FORMAT = 1
+FORMAT = 2
 """Raised when cameras are found differently, so that none of an earlier version are taken up."""
 ENOUGH = 0.95
 """Share of the photographs from which on no further attempt is made."""

@@ -4,6 +4,7 @@ import torch
 from flashcache.geometry.directions import environment_solid_angles
 from flashcache.physical.model import InverseModel
 
+from lambent_worker.measured import measured
 from lambent_worker.report.request import Subject
 
 CODE = "albedo.common_factor"
@@ -27,7 +28,7 @@ def common_factor_note(subject: Subject) -> str | None:
     lights = subject.scene.lights[:1] if subject.shared_light else subject.scene.lights
     for number, light in enumerate(lights):
         red, green, blue = light_colour(subject.model, number)
-        colours.append(f"{light} {red:.2f} : {green:.0f} : {blue:.2f}")
+        colours.append(f"{light} {measured(red, 2)} : {measured(green)} : {measured(blue, 2)}")
     several = " Several lights that are learned do not settle it." if len(subject.scene.lights) > 1 else ""
     return (
         "Photographs under a light that is not known tell albedo from light only up to one factor per "

@@ -13,6 +13,7 @@ from lambent_proto.v1 import evaluation_pb2
 from lambent_relight.bundle.uncertainty import CHANNELS
 from numpy import ndarray
 
+from lambent_worker.measured import measured
 from lambent_worker.report import figures
 from lambent_worker.report.environment_scores import FOLDER, LUMINANCE, compare_environments
 from lambent_worker.report.maps import load
@@ -53,6 +54,7 @@ def write_page(
     )
     shown = evenly_spaced(tuple(views), MAX_VIEWS)
     rows = [(view.name, view_figures(out, scene, view, ratio)) for view in shown]
+    environment.filters["measured"] = measured
     page = environment.get_template("page.html.j2").render(
         report=report,
         groups=grouped(report.metrics),

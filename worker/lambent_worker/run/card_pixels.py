@@ -15,6 +15,7 @@ from jaxtyping import Bool
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
+from lambent_worker.measured import measured
 from lambent_worker.run.card_option import GreyCard, fits, is_named, outside, refused
 from lambent_worker.scenes import photographs
 from lambent_worker.scenes.detect import describe_scene
@@ -91,7 +92,8 @@ def card_pixels(
     if on_object.sum() < max(LEAST_INSIDE * total, LEAST_SAMPLES):
         raise refused(
             "outside_mask",
-            f"{100.0 * on_object.sum() / total:.0f} % of the card lie on what is reconstructed, for the mask "
+            f"{measured(100.0 * on_object.sum() / total)} % of the card lie on what is reconstructed, for "
+            "the mask "
             f'of "{card.photograph}" leaves the rest out; put the card onto the object, or bring it into the '
             "mask (lambent masks --edit, --masks)",
         )

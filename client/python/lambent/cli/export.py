@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 from lambent_relight.environment.axes import OURS
+from lambent_relight.environment.layouts import AUTO
 
-from lambent.cli.environment_options import EnvAxesOption, environment_input
+from lambent.cli.environment_options import EnvAxesOption, EnvLayoutOption, environment_input
 from lambent.cli.output import JsonOption, Output
 from lambent.cli.rendering import open_bundle, relight_errors
 from lambent.errors import UsageProblemError
@@ -51,6 +52,7 @@ def export(
         typer.Option(metavar="MAP", help="Light of the Mitsuba scene; by default the recovered one."),
     ] = None,
     env_axes: EnvAxesOption = OURS,
+    env_layout: EnvLayoutOption = AUTO,
     tier: Annotated[str, typer.Option(help="Of a bundle: full, or lite, without networks, for phones.")] = "",
     weights: Annotated[
         str, typer.Option(help="Of a bundle: fp16, fp32, none, or auto: fp16 unless that moves the answers.")
@@ -101,7 +103,11 @@ def export(
 
     with relight_errors():
         bundle = open_bundle(_bundle_of(source))
-        light = open_environment(env, environment_input(env_axes, 0.0, False)) if env is not None else None
+        light = (
+            open_environment(env, environment_input(env_axes, 0.0, False, env_layout))
+            if env is not None
+            else None
+        )
         written = write_formats(
             bundle,
             output_folder,

@@ -10,10 +10,17 @@ import typer
 from lambent_relight import Environment, write_environment
 from lambent_relight.environment.axes import OURS
 from lambent_relight.environment.input import OpenedEnvironment, open_environment
+from lambent_relight.environment.layouts import AUTO
 from lambent_relight.images import srgb_from_linear
 from PIL import Image
 
-from lambent.cli.environment_options import EnvAxesOption, MendEnvOption, SunClampOption, environment_input
+from lambent.cli.environment_options import (
+    EnvAxesOption,
+    EnvLayoutOption,
+    MendEnvOption,
+    SunClampOption,
+    environment_input,
+)
 from lambent.cli.output import JsonOption, Output
 from lambent.cli.rendering import relight_errors
 
@@ -24,6 +31,7 @@ def probe(
     env: Annotated[Path, typer.Argument(metavar="MAP", help="Environment map, .exr or .hdr.")],
     output_folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Where files go.")],
     env_axes: EnvAxesOption = OURS,
+    env_layout: EnvLayoutOption = AUTO,
     sun_clamp: SunClampOption = 0.0,
     mend_env: MendEnvOption = False,
     rotate_deg: Annotated[float, typer.Option(help="Turn the light by this angle about +z, degrees.")] = 0.0,
@@ -38,7 +46,7 @@ def probe(
         # Compiled code takes a moment to import, which the help text should not pay.
         from lambent_relight.environment.probes import chrome_ball, grey_ball, upright_map
 
-        opened = open_environment(env, environment_input(env_axes, sun_clamp, mend_env))
+        opened = open_environment(env, environment_input(env_axes, sun_clamp, mend_env, env_layout))
         for note in opened.notes(env.name):
             output.note(note)
         light = opened.environment.rotated(rotate_deg)

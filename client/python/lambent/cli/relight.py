@@ -8,10 +8,12 @@ from lambent_proto.pictures import RenderSettings
 from lambent_relight import MaterialEdit, load_cameras
 from lambent_relight.batch.manifest import Asset, Files, Light
 from lambent_relight.environment.axes import OURS
+from lambent_relight.environment.layouts import AUTO
 from lambent_relight.object_cameras import around_object
 
 from lambent.cli.environment_options import (
     EnvAxesOption,
+    EnvLayoutOption,
     MendEnvOption,
     SunClampOption,
     environment_input,
@@ -49,6 +51,7 @@ def relight(
     ] = 0.0,
     size: Annotated[int, typer.Option(help="Side of turntable pictures, pixels; 0: as photographed.")] = 0,
     env_axes: EnvAxesOption = OURS,
+    env_layout: EnvLayoutOption = AUTO,
     sun_clamp: SunClampOption = 0.0,
     mend_env: MendEnvOption = False,
     half: Annotated[
@@ -67,7 +70,7 @@ def relight(
         raise UsageProblemError(
             "cli.cameras", "one of --cameras and --turntable is needed", "for a first look: --turntable 8"
         )
-    light = environment_input(env_axes, sun_clamp, mend_env)
+    light = environment_input(env_axes, sun_clamp, mend_env, env_layout)
     names = [path.stem for path in env]
     if len(set(names)) != len(names):
         raise UsageProblemError("cli.same_names", f"two maps are called the same: {names}", "rename one")

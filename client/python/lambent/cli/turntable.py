@@ -14,12 +14,14 @@ from lambent_relight.batch.manifest import Asset, Files, Light
 from lambent_relight.batch.plan import Row
 from lambent_relight.batch.studio import Studio
 from lambent_relight.environment.axes import OURS
+from lambent_relight.environment.layouts import AUTO
 from lambent_relight.object_cameras import around_object
 from PIL import Image
 
 from lambent import film
 from lambent.cli.environment_options import (
     EnvAxesOption,
+    EnvLayoutOption,
     MendEnvOption,
     SunClampOption,
     environment_input,
@@ -76,6 +78,7 @@ def turntable(
         bool, typer.Option("--probes", help="Draw a chrome and a grey ball into the lower left corner.")
     ] = False,
     env_axes: EnvAxesOption = OURS,
+    env_layout: EnvLayoutOption = AUTO,
     sun_clamp: SunClampOption = 0.0,
     mend_env: MendEnvOption = False,
     as_json: JsonOption = False,
@@ -101,7 +104,7 @@ def turntable(
     elif crf is not None:
         raise UsageProblemError("cli.bad_choice", f"--crf with {animation}", "use it for .mp4 and .webm")
     output = Output(as_json)
-    light = Light(name=env.name, path=env, given=environment_input(env_axes, sun_clamp, mend_env))
+    light = Light(name=env.name, path=env, given=environment_input(env_axes, sun_clamp, mend_env, env_layout))
     files = Files(suffixes=("png",), linear=not straight, probes=probes)
     with relight_errors():
         opened = open_bundle(bundle)

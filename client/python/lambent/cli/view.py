@@ -8,10 +8,12 @@ import typer
 from lambent_relight import Renderer
 from lambent_relight.environment.axes import OURS
 from lambent_relight.environment.input import EnvironmentInput
+from lambent_relight.environment.layouts import AUTO
 from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
 
 from lambent.cli.environment_options import (
     EnvAxesOption,
+    EnvLayoutOption,
     MendEnvOption,
     SunClampOption,
     environment_input,
@@ -54,13 +56,14 @@ def view(
     split: Annotated[float, _option(help="Border of a comparison, 0 to 1.", min=0.0, max=1.0)] = 0.5,
     save_to: Annotated[Path, _option(metavar="DIR", help="Where the key s saves.")] = Path(),
     env_axes: EnvAxesOption = OURS,
+    env_layout: EnvLayoutOption = AUTO,
     sun_clamp: SunClampOption = 0.0,
     mend_env: MendEnvOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Look at a bundle from all sides and in any light."""
     output = Output(as_json)
-    light = environment_input(env_axes, sun_clamp, mend_env)
+    light = environment_input(env_axes, sun_clamp, mend_env, env_layout)
     environments = list(env or ())
     if not desktop:
         _show_in_browser(context, bundle, environments, light, output)

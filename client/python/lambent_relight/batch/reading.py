@@ -196,7 +196,9 @@ def _lights(given: _Light, pointer: str) -> Iterator[Light]:
             name=f"{name}_{angle:g}" if given._is_list else name,
             path=path,
             environment_id=given.environment_id or "",
-            given=EnvironmentInput(axes=given.axes, mend=given.mend, sun_clamp=given.sun_clamp),
+            given=EnvironmentInput(
+                axes=given.axes, layout=given.layout, mend=given.mend, sun_clamp=given.sun_clamp
+            ),
             rotate_deg=angle,
             pointer=pointer,
         )

@@ -12,11 +12,11 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
+from lambent_relight.environment.primaries import REC709_CHROMATICITIES, rec709_matrix, to_rec709
 from lambent_relight.errors import EnvironmentFileError
 from lambent_relight.picture_rows import PictureRows
 
-REC709_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-"""Red, green, blue and white of linear Rec. 709, CIE x and y each."""
+__all__ = ["REC709_CHROMATICITIES", "read_exr_parts", "read_exr_rgb", "write_exr"]
 
 
 def _unusable(code: str, path: Path, what: str, advice: str) -> EnvironmentFileError:
@@ -71,29 +71,39 @@ def read_exr_parts(path: Path, *, max_pixels: int) -> list[OpenEXR.Part]:
 
 
 def read_exr_rgb(path: Path, *, max_pixels: int) -> PictureRows:
-    """Return the R, G, B channels as rows of linear float32, row 0 at the top.
+    """Return the R, G, B channels as rows of linear float32 Rec. 709, row 0 at the top of the display window.
 
-    Half and float channels are read, from the first part that has all three; alpha is ignored (EXR
-    colours are already multiplied by it). Raises EnvironmentFileError for what `read_exr_parts` refuses, a
-    file without colour, one in other primaries than Rec. 709 and a cropped picture.
+    Half and float channels are read, from the first part that has all three, and converted from the stated
+    chromaticities; alpha is ignored (EXR colours are already multiplied by it). `layout` is "cube" where the
+    attribute envmap says so. Raises EnvironmentFileError for what `read_exr_parts` refuses, a file without
+    colour, with integers or subsampled colours, and a picture that does not fill its display window.
     """
     parts = read_exr_parts(path, max_pixels=max_pixels)
     with _refusing_damage(path):
         part = _colour_part(path, parts)
-        width, height = _checked_size(path, part.header)
-        _check_colour(path, part.header)
+        (left, top), (width, height) = _shown(path, part.header)
+        matrix = _matrix(path, part.header)
+        if any((part.channels[name].xSampling, part.channels[name].ySampling) != (1, 1) for name in "RGB"):
+            raise _unusable(
+                "environment.exr_channels", path, "stores colour subsampled", "save it at full resolution"
+            )
         planes = [part.channels[name].pixels for name in "RGB"]
-    if any(p is None or p.shape != (height, width) for p in planes):
+        layout = {OpenEXR.ENVMAP_CUBE: "cube", OpenEXR.ENVMAP_LATLONG: "latlong"}.get(
+            part.header.get("envmap")
+        )
+        stored = tuple(reversed(_size(part.header["dataWindow"])))
+    if any(p is None or p.shape != stored for p in planes):
         raise _damaged(path)
     if any(plane.dtype not in (np.float16, np.float32) for plane in planes):
         raise _unusable(
             "environment.exr_channels", path, "stores colour as integers", "save it as half or float"
         )
+    planes = [plane[top : top + height, left : left + width] for plane in planes]
 
     def rows(part: slice) -> NDArray[np.float32]:
-        return np.stack([plane[part].astype(np.float32) for plane in planes], axis=-1)
+        return to_rec709(np.stack([plane[part].astype(np.float32) for plane in planes], axis=-1), matrix)
 
-    return PictureRows(height, width, rows)
+    return PictureRows(height, width, rows, layout)
 
 
 def _damaged(path: Path) -> EnvironmentFileError:
@@ -123,27 +133,33 @@ def _size(window: tuple) -> tuple[int, int]:
     return x1 - x0 + 1, y1 - y0 + 1
 
 
-def _checked_size(path: Path, header: dict) -> tuple[int, int]:
+def _shown(path: Path, header: dict) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return where the display window begins in the stored pixels (column, row), and its width and height."""
     stored, whole = _size(header["dataWindow"]), _size(header["displayWindow"])
-    if stored != whole:
+    begin = [int(v) for v in np.subtract(header["displayWindow"][0], header["dataWindow"][0])]
+    room = [a - b - c for a, b, c in zip(stored, whole, begin, strict=True)]
+    if min(*begin, *room) < 0 or min(whole) <= 0:
         raise _unusable(
             "environment.exr_cropped",
             path,
-            f"stores {stored[0]} x {stored[1]} of {whole[0]} x {whole[1]} pixels",
+            f"stores {stored[0]} x {stored[1]} pixels, its picture is {whole[0]} x {whole[1]} from column "
+            f"{begin[0]} and row {begin[1]} of them",
             "save the whole picture (data window equal to display window)",
         )
-    return stored
+    return (begin[0], begin[1]), whole
 
 
-def _check_colour(path: Path, header: dict) -> None:
+def _matrix(path: Path, header: dict) -> NDArray[np.float32] | None:
     stated = header.get("chromaticities")
-    if stated is not None and not np.allclose(np.ravel(stated), REC709_CHROMATICITIES, atol=2e-3):
+    try:
+        return None if stated is None else rec709_matrix(stated)
+    except ValueError as error:
         raise _unusable(
             "environment.exr_primaries",
             path,
-            f"states the primaries {np.round(np.ravel(stated), 4).tolist()}, expected Rec. 709",
-            "convert the map to linear Rec. 709 (sRGB primaries)",
-        )
+            f"states the primaries {np.round(np.ravel(stated), 4).tolist()}, which cannot be ({error})",
+            "export the map again as linear Rec. 709 (sRGB primaries)",
+        ) from error
 
 
 def write_exr(

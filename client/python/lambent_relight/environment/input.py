@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lambent_relight.environment.axes import OURS, from_axes
+from lambent_relight.environment.layouts import AUTO, LATLONG, LAYOUTS
 from lambent_relight.environment.maps import Environment, load_environment
 from lambent_relight.environment.sun_clamp import ClampReport, clamp_sun
 
@@ -14,6 +15,8 @@ class EnvironmentInput:
 
     axes: str = OURS
     """The map's convention, a name of `environment_axes.QUARTER_TURNS`."""
+    layout: str = AUTO
+    """The file's layout, a name of `layouts.LAYOUTS`; "auto": as it states, else by its size."""
     mend: bool = False
     """Whether NaN, negative and infinite values are replaced; otherwise they are an error."""
     sun_clamp: float = 0.0
@@ -32,6 +35,9 @@ class OpenedEnvironment:
         """Return one sentence for everything that a user should know about the map `name`."""
         found = []
         read = self.environment
+        if read.read_as != LATLONG:
+            height, width = read.radiance.shape[:2]
+            found.append(f"{name}: read as {LAYOUTS[read.read_as]}, converted to {width} x {height} pixels")
         if read.cleaning:
             found.append(f"{name}: replaced {read.cleaning}")
         if read.reduced_from is not None:
@@ -48,7 +54,7 @@ def open_environment(path: Path | str, given: EnvironmentInput | None = None) ->
     Raises EnvironmentFileError for a file or a convention that cannot be used.
     """
     given = given or EnvironmentInput()
-    environment = from_axes(load_environment(path, mend=given.mend), given.axes)
+    environment = from_axes(load_environment(path, mend=given.mend, layout=given.layout), given.axes)
     if given.sun_clamp == 0.0:
         return OpenedEnvironment(environment, None)
     return OpenedEnvironment(*clamp_sun(environment, given.sun_clamp))

@@ -13,9 +13,17 @@ from numpy.typing import NDArray
 from lambent_relight.arguments import file_path, number, refusal
 from lambent_relight.directions import Array, rotate_about_z, uv_of_directions
 from lambent_relight.environment.exr import read_exr_rgb, write_exr
+from lambent_relight.environment.layouts import (
+    AUTO,
+    LATLONG,
+    LAYOUTS,
+    blank_unused,
+    decided_layout,
+    to_latlong,
+)
 from lambent_relight.environment.rgbe import read_rgbe
 from lambent_relight.errors import EnvironmentFileError
-from lambent_relight.picture_rows import block_means
+from lambent_relight.picture_rows import PictureRows, block_means
 
 MAX_PIXELS = 1 << 25
 """Largest map kept at full size by default, 8192 x 4096; larger files are reduced while they are read."""
@@ -57,6 +65,8 @@ class Environment:
     cleaning: Cleaning = Cleaning()
     reduced_from: tuple[int, int] | None = None
     """Height and width of the file, if it was above the limit and the map consists of means of its pixels."""
+    read_as: str = LATLONG
+    """The file's layout, a name of `layouts.LAYOUTS`, from which the map was converted."""
 
     def __post_init__(self) -> None:
         image = self.radiance
@@ -149,12 +159,15 @@ def load_environment(
     max_pixels: int = MAX_PIXELS,
     max_file_pixels: int = MAX_FILE_PIXELS,
     mend: bool = False,
+    layout: str = AUTO,
 ) -> Environment:
     """Return the environment map in a Radiance (.hdr) or OpenEXR (.exr) file.
 
-    `mend` as in `environment_from_array`. A map above `max_pixels` is reduced by an integer factor to the
-    means of blocks of pixels, and has `reduced_from` set. Raises EnvironmentFileError, with a code that
-    starts with `environment.`, for a file that cannot be read or is above `max_file_pixels`.
+    `mend` as in `environment_from_array`. `layout` is a name of `layouts.LAYOUTS`, or "auto": what the file
+    states, or else what its size says. Probes and cubes are converted to latitude-longitude. A map above
+    `max_pixels` is reduced by an integer factor to the means of blocks of pixels, and has `reduced_from` set.
+    Raises EnvironmentFileError, with a code that starts with `environment.`, for a file that cannot be read
+    or is above `max_file_pixels`, and for a layout that is unclear or does not fit the size.
     """
     path = file_path(path, "path", refuse=_refuse)
     if not path.is_file():
@@ -169,15 +182,36 @@ def load_environment(
         )
     picture = reader(path, max_pixels=max_file_pixels)
     height, width = picture.height, picture.width
+    found = decided_layout(path.name, height, width, picture.layout, layout)
+    if found != LATLONG:
+        return _converted(path, picture, found, max_pixels, mend, certain=layout != AUTO)
     step = next(step for step in range(1, height * width + 1) if height * width <= max_pixels * step * step)
     if height % step or width % step:
-        raise EnvironmentFileError(
-            "environment.too_large",
-            f'"{path.name}" has {width} x {height} pixels, which blocks of {step} x {step} do not divide',
-            f"reduce the map to at most {max_pixels} pixels (8192 x 4096 is plenty for lighting)",
-        )
+        raise _too_large(path, height, width, max_pixels, f"which blocks of {step} x {step} do not divide")
     read = environment_from_array(block_means(picture, step), source=path.name, mend=mend)
     return replace(read, reduced_from=(height, width)) if step > 1 else read
+
+
+def _converted(
+    path: Path, picture: PictureRows, layout: str, max_pixels: int, mend: bool, *, certain: bool
+) -> Environment:
+    """Return the map of a picture in another layout; unusable values are found before they spread."""
+    if picture.height * picture.width > max_pixels:
+        raise _too_large(
+            path, picture.height, picture.width, max_pixels, f"too many for {LAYOUTS[layout]} to be converted"
+        )
+    image = picture.rows(slice(0, picture.height))
+    image = blank_unused(path.name, image, layout, certain=certain)
+    read = environment_from_array(image, source=path.name, mend=mend)
+    return replace(read, radiance=to_latlong(read.radiance, layout), read_as=layout)
+
+
+def _too_large(path: Path, height: int, width: int, max_pixels: int, why: str) -> EnvironmentFileError:
+    return EnvironmentFileError(
+        "environment.too_large",
+        f'"{path.name}" has {width} x {height} pixels, {why}',
+        f"reduce the map to at most {max_pixels} pixels (8192 x 4096 is plenty for lighting)",
+    )
 
 
 def as_environment(light: "Environment | Array | Path | str") -> Environment:

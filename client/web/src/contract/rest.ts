@@ -1214,6 +1214,12 @@ export interface components {
             /** Environment Id */
             environment_id: string;
             /**
+             * Layout
+             * @default auto
+             * @enum {string}
+             */
+            layout: "auto" | "latlong" | "angular" | "mirror-ball" | "cross-horizontal" | "cross-vertical" | "strip-horizontal" | "strip-vertical" | "cube";
+            /**
              * Mend
              * @default false
              */

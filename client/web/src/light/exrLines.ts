@@ -8,7 +8,7 @@
 import type { EnvironmentMap } from "../engine/environmentMap.js";
 import { inflated } from "../page/inflate.js";
 import { halfTable } from "../engine/half.js";
-import { damaged, type Header, primaries, type Stated } from "./exrHeader.js";
+import { channelsOf, damaged, type Header, primaries, type Stated } from "./exrHeader.js";
 
 /** The layout of the lines in such a file. */
 export type HalfLines = {
@@ -33,7 +33,9 @@ export function halfLinesOf({ flags, attributes, end }: Stated): HalfLines | nul
   if (flags & ~4 || window === null || shown === null || channels === null) return null;
   if (compression?.byteLength !== 1 || typeof DecompressionStream === "undefined") return null;
   const linesPerChunk = ({ 0: 1, 3: 16 } as const)[compression.getUint8(0)];
-  const plain = channels.every(({ type, spacing }) => type === half && spacing === 1);
+  const plain = channels.every(
+    ({ type, xSampling, ySampling }) => type === half && xSampling === 1 && ySampling === 1,
+  );
   const rgb = ["R", "G", "B"].map((name) => channels.findIndex((channel) => channel.name === name));
   if (linesPerChunk === undefined || !plain || rgb.includes(-1)) return null;
   const stated = attributes.get("chromaticities");
@@ -51,11 +53,11 @@ export function halfLinesOf({ flags, attributes, end }: Stated): HalfLines | nul
   };
 }
 
-/** Return the linear picture, row 0 at the top; throws MapFault for a damaged one. */
+/** Return the stored picture, row 0 at the top; throws MapFault for a damaged one. */
 export async function readHalfLines(
   data: Uint8Array<ArrayBuffer>,
   lines: HalfLines,
-): Promise<EnvironmentMap> {
+): Promise<EnvironmentMap & { readonly radianceRgb: Float32Array }> {
   const { width, height, linesPerChunk, tableStart, header } = lines;
   const numChunks = Math.ceil(height / linesPerChunk);
   const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
@@ -127,21 +129,4 @@ function boxOf(view: DataView | undefined): Header["dataWindow"] | null {
   if (view?.byteLength !== 16) return null;
   const [xMin, yMin, xMax, yMax] = [0, 4, 8, 12].map((at) => view.getInt32(at, true));
   return { xMin: xMin!, yMin: yMin!, xMax: xMax!, yMax: yMax! };
-}
-
-type Channel = { readonly name: string; readonly type: number; readonly spacing: number };
-
-function channelsOf(view: DataView | undefined): Channel[] | null {
-  const channels: Channel[] = [];
-  if (view === undefined) return null;
-  const bytes = new Uint8Array(view.buffer, view.byteOffset, view.byteLength);
-  for (let place = 0; place < bytes.length && bytes[place] !== 0; ) {
-    const end = bytes.indexOf(0, place);
-    if (end < 0 || end + 17 > bytes.length) return null;
-    const name = new TextDecoder("latin1").decode(bytes.subarray(place, end));
-    const [across, down] = [view.getInt32(end + 9, true), view.getInt32(end + 13, true)];
-    channels.push({ name, type: view.getInt32(end + 1, true), spacing: Math.max(across, down) });
-    place = end + 17;
-  }
-  return channels;
 }

@@ -2,12 +2,11 @@
 
 import { buffersOf } from "../page/buffers.js";
 import { splitSumTable } from "../engine/splitSum.js";
-import { readExr } from "./exrInput.js";
 import { MapFault, mapTold } from "./fault.js";
 import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { type PreparedLight, prepareLight, usableMap } from "./prepare.js";
+import { openEnvironment } from "./open.js";
+import { type NotedMap, type PreparedLight, prepareLight, usableMap } from "./prepare.js";
 import { type PresetName, presetMap } from "./presets.js";
-import { readRgbe } from "./rgbe.js";
 import { ballPicture, smallMap } from "./thumbnail.js";
 import { mapFaults } from "../words/mapFaults.js";
 import { workerSpeaks } from "../words/languages.js";
@@ -62,10 +61,10 @@ self.onmessage = async ({ data: question }: MessageEvent<LightQuestion>) => {
   }
 };
 
-async function openMap(origin: MapOrigin): Promise<EnvironmentMap> {
+async function openMap(origin: MapOrigin): Promise<NotedMap> {
   if (origin.kind === "preset") return presetMap(origin.name);
-  if (origin.kind === "bytes") return decode(origin.data);
-  const map = await decode(await fetched(origin.url));
+  if (origin.kind === "bytes") return openEnvironment(origin.data, maxPixels);
+  const map = await openEnvironment(await fetched(origin.url), maxPixels);
   // Its small picture need not be fetched again.
   small.set(origin.url, smallMap(usableMap(map).map));
   for (const url of [...small.keys()].slice(0, -mostSmall)) small.delete(url);
@@ -79,13 +78,6 @@ const mostSmall = 8;
 async function openSmallMap(origin: MapOrigin): Promise<EnvironmentMap> {
   const known = origin.kind === "url" ? small.get(origin.url) : undefined;
   return known ?? smallMap(usableMap(await openMap(origin)).map);
-}
-
-function decode(data: Uint8Array<ArrayBuffer>) {
-  const [first, second, third, fourth] = data;
-  if (first === 0x76 && second === 0x2f && third === 0x31 && fourth === 0x01) return readExr(data, maxPixels);
-  if (first === 0x23 && second === 0x3f) return readRgbe(data, maxPixels);
-  throw new MapFault("environment.unknown_format", ...mapFaults.unknownFormat());
 }
 
 /** Addresses that the page's content security policy has kept from being read. */

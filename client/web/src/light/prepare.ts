@@ -16,7 +16,7 @@ import { mapFaults } from "../words/mapFaults.js";
 export const numLevels = 9;
 export const maxDominant = 4;
 /** Largest map in memory; larger ones are means of it. */
-const maxWidth = 2048;
+export const maxWidth = 2048;
 /** Harmonics of few bands do not see finer pixels. */
 const projectedWidth = 512;
 
@@ -44,8 +44,11 @@ export type PreparedLight = {
   readonly notes: readonly string[];
 };
 
+/** A map, and sentences about what was done to it already. */
+export type NotedMap = EnvironmentMap & { readonly notes?: readonly string[] };
+
 /** Return a map in the renderer's form; `dominant` lights at most are split off. */
-export function prepareLight(given: EnvironmentMap, bands: number, dominant: number): PreparedLight {
+export function prepareLight(given: NotedMap, bands: number, dominant: number): PreparedLight {
   const { map, notes } = usableMap(given);
   const { lights, residual } = splitDominantLights(map, dominant);
   const small = (source: EnvironmentMap): EnvironmentMap =>
@@ -92,8 +95,8 @@ function radiusOf({ direction }: DirectionalLight, map: EnvironmentMap, residual
 }
 
 /** Return a map without unusable values and at most as wide as textures, and notes about the changes. */
-export function usableMap(given: EnvironmentMap): { map: EnvironmentMap; notes: string[] } {
-  const notes: string[] = [];
+export function usableMap(given: NotedMap): { map: EnvironmentMap; notes: string[] } {
+  const notes = [...(given.notes ?? [])];
   let map = repaired(given, notes);
   if (map.width > maxWidth) {
     const height = Math.max(1, Math.round((map.height * maxWidth) / map.width));
@@ -104,7 +107,7 @@ export function usableMap(given: EnvironmentMap): { map: EnvironmentMap; notes: 
 }
 
 /** Replace NaN and negative values by 0 and infinite ones by the largest finite value, and say so. */
-function repaired(map: EnvironmentMap, notes: string[]): EnvironmentMap {
+export function repaired(map: EnvironmentMap, notes: string[]): EnvironmentMap {
   let largest = 0;
   let count = 0;
   const { radianceRgb: values } = map;

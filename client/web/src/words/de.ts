@@ -168,6 +168,27 @@ export const mapFaults: MapFaults = {
     "Adresse prüfen",
   ],
   reduced: (from, to) => `Das Umgebungsbild wurde von ${from} auf ${to} Pixel verkleinert.`,
+  converted: (layout, to) => `Das Umgebungsbild wurde als ${layout} gelesen und in ${to} Pixel umgewandelt.`,
+  shape: (width, height) => [
+    `das Umgebungsbild hat ${width} x ${height} Pixel, wie es zu keiner Darstellung passt`,
+    "eines verwenden, das doppelt so breit wie hoch ist (Länge und Breite), ein Kreuz (4:3 oder 3:4), einen Streifen aus " +
+      "Würfelflächen (6:1 oder 1:6) oder eine quadratische Lichtsonde; oder es mit " +
+      "`lambent probe MAP --env-layout NAME -o DIR` umwandeln",
+  ],
+  layoutUnclear: (layout) => [
+    `das Umgebungsbild hat die Größe für „${layout}“, aber Licht an Stellen, die dort leer sind, oder keines am Rand`,
+    "in Länge und Breite umwandeln, etwa mit `lambent probe MAP --env-layout NAME -o DIR`",
+  ],
+  layouts: {
+    latlong: "Karte nach Länge und Breite",
+    angular: "Lichtsonde (Angular Map)",
+    "mirror-ball": "Spiegelkugel",
+    "cross-horizontal": "liegendes Kreuz aus Würfelflächen",
+    "cross-vertical": "stehendes Kreuz aus Würfelflächen",
+    "strip-horizontal": "waagerechter Streifen aus Würfelflächen",
+    "strip-vertical": "senkrechter Streifen aus Würfelflächen",
+    cube: "OpenEXR-Würfel",
+  },
   replaced: (number) =>
     count(number, {
       one: "Ein negativer, unendlicher oder ungültiger Wert (NaN) im Umgebungsbild wurde ersetzt.",
@@ -183,13 +204,17 @@ export const mapFaults: MapFaults = {
     `das Umgebungsbild hat die Kanäle ${channels}; nötig sind R, G und B`,
     "als RGB oder RGBA speichern",
   ],
+  exrSubsampled: () => [
+    "das Umgebungsbild speichert Rot, Grün oder Blau in verringerter Auflösung",
+    "in voller Auflösung speichern",
+  ],
   exrCropped: () => [
     "das Umgebungsbild enthält nur einen Ausschnitt",
     "das ganze Bild speichern (Data-Window gleich Display-Window)",
   ],
   exrPrimaries: () => [
-    "das Umgebungsbild hat andere Primärfarben als Rec. 709",
-    "in lineares Rec. 709 umwandeln (Primärfarben von sRGB)",
+    "das Umgebungsbild gibt unmögliche Primärfarben an",
+    "erneut als lineares Rec. 709 (Primärfarben von sRGB) exportieren",
   ],
   hdr: (what) => [`das Umgebungsbild ${what}`, "erneut als .hdr oder .exr exportieren"],
   hdrNoSize: "hat keine Zeile mit der Auflösung der Form -Y <Höhe> +X <Breite>",
@@ -204,7 +229,6 @@ export const mapFaults: MapFaults = {
   hdrExposure: "hat eine Belichtung, die keine positive Zahl ist",
   hdrRowDamaged: (row) => `ist in Zeile ${row} beschädigt`,
   hdrRowEnds: (row) => `endet vorzeitig in Zeile ${row}`,
-  hdrPixels: (found, expected) => `hat ${found} von ${expected} Pixeln`,
   hdrRepeats: "wiederholt ein Pixel, das es nicht gibt",
 };
 

@@ -176,6 +176,27 @@ export const mapFaults = {
     "check the address",
   ],
   reduced: (from: string, to: string) => `The environment map was reduced from ${from} to ${to} pixels.`,
+  converted: (layout: string, to: string) =>
+    `The environment map was read as ${layout} and converted to ${to} pixels.`,
+  shape: (width: number, height: number): Fault => [
+    `the environment map has ${width} x ${height} pixels, which no layout has`,
+    "use one that is twice as wide as high (latitude-longitude), a cross (4:3 or 3:4), a strip of cube faces (6:1 or " +
+      "1:6) or a square light probe; or convert it with `lambent probe MAP --env-layout NAME -o DIR`",
+  ],
+  layoutUnclear: (layout: string): Fault => [
+    `the environment map has the size of ${layout}, but light where that has none, or none where that has some`,
+    "convert it to latitude-longitude, for instance with `lambent probe MAP --env-layout NAME -o DIR`",
+  ],
+  layouts: {
+    latlong: "a latitude-longitude map",
+    angular: "an angular map (light probe)",
+    "mirror-ball": "a mirror ball",
+    "cross-horizontal": "a horizontal cross of cube faces",
+    "cross-vertical": "a vertical cross of cube faces",
+    "strip-horizontal": "a horizontal strip of cube faces",
+    "strip-vertical": "a vertical strip of cube faces",
+    cube: "an OpenEXR cube",
+  },
   replaced: (number: number) =>
     count(number, {
       one: "One negative, infinite or NaN value of the environment map was replaced.",
@@ -191,13 +212,17 @@ export const mapFaults = {
     `the environment map has the channels ${channels}; R, G and B are needed`,
     "save it as RGB or RGBA",
   ],
+  exrSubsampled: (): Fault => [
+    "the environment map stores red, green or blue at reduced resolution",
+    "save it at full resolution",
+  ],
   exrCropped: (): Fault => [
     "the environment map stores only a part of its picture",
     "save the whole picture (data window equal to display window)",
   ],
   exrPrimaries: (): Fault => [
-    "the environment map has other primaries than Rec. 709",
-    "convert it to linear Rec. 709 (sRGB primaries)",
+    "the environment map states primaries that cannot be",
+    "export it again as linear Rec. 709 (sRGB primaries)",
   ],
   hdr: (what: string): Fault => [`the environment map ${what}`, "export it again as .hdr or .exr"],
   hdrNoSize: "has no resolution line of the form -Y <height> +X <width>",
@@ -212,7 +237,6 @@ export const mapFaults = {
   hdrExposure: "has an exposure that is not a positive number",
   hdrRowDamaged: (row: number) => `is damaged at row ${row}`,
   hdrRowEnds: (row: number) => `ends early at row ${row}`,
-  hdrPixels: (found: number, expected: number) => `has ${found} of ${expected} pixels`,
   hdrRepeats: "repeats a pixel that does not exist",
 };
 

@@ -216,10 +216,17 @@ def test_parts_without_colour_and_deep_parts_are_refused(api: Api, tmp_path: Pat
         exr(64, 32)[:40],
         b"\x76\x2f\x31\x01" + b"\xff" * 1000,
         b"#?RADIANCE\n\n-Y 99999999 +X 99999999\n",
-        b"#?RADIANCE\n\n+X 32 -Y 16\n",
+        b"#?RADIANCE\n\n+X 32 -X 16\n",
         b"#?RADIANCE\nno size",
     ],
 )
 def test_what_is_no_environment_is_refused_by_its_head(api: Api, data: bytes):
     answer = api.post("/v1/environments", params={"name": "x"}, content=data)
     expect_problem(answer, 422, "environment_invalid")
+
+
+def test_a_radiance_file_stored_by_columns_has_its_width_and_height(api: Api):
+    data = b"#?RADIANCE\n\n+X 32 -Y 16\n" + b"\0" * 2048
+    sent = api.post("/v1/environments", params={"name": "turned"}, content=data)
+    assert sent.status_code == 201
+    assert (sent.json()["width"], sent.json()["height"]) == (32, 16)

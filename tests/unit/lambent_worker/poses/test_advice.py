@@ -128,3 +128,11 @@ def test_pose_errors_forget_a_similarity_and_nothing_else():
     true[::3, 0, 3] += 1.0
     mirrored = true * np.array([1.0, 1.0, -1.0, 1.0])[:, None]
     assert pose_errors(mirrored, true)[1].max() > 0.05
+
+
+@pytest.mark.parametrize("error_px", [2.6e156, float("nan"), float("inf"), 17.0])
+def test_an_error_that_no_right_camera_has_is_refused_and_never_printed(error_px):
+    ((code, message),) = advice(reprojection_error_px=error_px)
+    assert code == "scene.poses_unusable"
+    assert ("17.0" if error_px == 17.0 else "not usable") in message
+    assert "fixed zoom" in message

@@ -9,6 +9,7 @@ from lambent_worker.capture_qa.check_result import tell_findings
 from lambent_worker.errors import SceneRefusedError
 from lambent_worker.files import write_json
 from lambent_worker.masks.motion import write_motion_masks
+from lambent_worker.measured import measured
 from lambent_worker.poses.advice import PoseLimits, advise
 from lambent_worker.poses.apart import solve_apart
 from lambent_worker.poses.photographs import Photographs, find_photographs
@@ -59,7 +60,7 @@ def summary(found: FoundCameras) -> str:
     """Return in words how well cameras were found."""
     return (
         f"cameras for {found.registered} of {found.photographs} photographs, {found.points} points, "
-        f"reprojection error {found.reprojection_error_px:.2f} pixels"
+        f"reprojection error {measured(found.reprojection_error_px, 2)} pixels"
     )
 
 

@@ -14,6 +14,7 @@ from lambent_worker.masks.folder import SHEET, WrittenMasks, draw_into
 from lambent_worker.masks.photograph import Photograph, photographs_of
 from lambent_worker.masks.sparse import sparse_points
 from lambent_worker.masks.workspace import Workspace
+from lambent_worker.measured import measured
 from lambent_worker.messages import message_to_dict
 from lambent_worker.run.capture import (
     MANIFEST,
@@ -163,7 +164,7 @@ def _tell(context: TaskContext, written: WrittenMasks) -> None:
     context.reporter.finding(
         "scene.mask_estimated",
         f"no picture says where the object is, so it was estimated{corrected}; the views agree to "
-        f"{100.0 * written.overlap:.0f} %{doubtful}; look at {SHEET}, and correct it with lambent "
+        f"{measured(100.0 * written.overlap)} %{doubtful}; look at {SHEET}, and correct it with lambent "
         "masks --edit or give better ones with --masks",
     )
 
