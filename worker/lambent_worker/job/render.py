@@ -96,6 +96,8 @@ def manifest_of(spec: render_pb2.RenderSpec, inputs: Path) -> Manifest:
         spec, preserving_proto_field_name=True, always_print_fields_with_no_presence=True
     )
     document["schema"] = SCHEMA
+    # Relative paths in a manifest are relative to the manifest.
+    inputs = inputs.absolute()
     for asset in document["assets"]:
         asset["bundle"] = str(inputs / "bundles" / asset.pop("bundle_id"))
         asset["material"] = _without_empty(asset.get("material", {}), "albedo", "albedo_gain")
