@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lambent_proto.extras import pip_install
 
 from lambent_relight.asset.textured_mesh import TexturedMesh
 from lambent_relight.errors import ExportError
@@ -56,7 +57,7 @@ def _usd() -> Any:
         raise ExportError(
             "export.usd_missing",
             "USDZ files need the package usd-core, which is not here",
-            'pip install "lambent[usd]"',
+            pip_install("usd"),
         ) from error
     return pxr
 
