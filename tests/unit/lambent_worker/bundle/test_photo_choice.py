@@ -34,6 +34,7 @@ def test_pixels_beyond_what_a_texel_can_show_do_not_make_up_for_trust():
     """A close-up whose radiance is hardly albedo's does not win by its size."""
     found = shares(saying(resolution=1.5, trust=0.9), saying(resolution=30.0, trust=0.3))
     assert found == pytest.approx([1.0, 0.0], abs=1e-3)
+    assert shares(saying(trust=0.3), saying(trust=0.9)) == pytest.approx([0.0, 1.0], abs=1e-3)
 
 
 def test_a_photograph_that_is_apart_everywhere_counts_less_than_each_of_its_nodes_says():
@@ -49,7 +50,7 @@ def test_a_photograph_that_is_apart_everywhere_counts_less_than_each_of_its_node
 
 
 def test_a_blurred_photograph_is_not_chosen_over_a_sharp_one():
-    assert shares(saying(detail=0.3), saying(detail=0.05)) == pytest.approx([1.0, 0.0], abs=1e-3)
+    assert shares(saying(detail=0.05), saying(detail=0.3)) == pytest.approx([0.0, 1.0], abs=1e-3)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
