@@ -11,9 +11,9 @@ class Quota(Shown):
     """What an organisation may use of something, and what it uses."""
 
     name: Literal["max_bytes", "max_queued_jobs", "max_gpu_minutes"]
-    limit: float | None
-    """Null: no limit."""
-    used: float
+    limit: int | float | None
+    """Null: no limit. Bytes and jobs are whole numbers."""
+    used: int | float
     """Of GPU minutes: those of this month (UTC), and those promised to unfinished jobs."""
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 from lambent_proto.pictures import WHOLE
 from pydantic import Field
 
-from lambent_server.messages import Given, Sha256, Shown
+from lambent_server.messages import Given, Sha256, Shown, SizeBytes
 from lambent_server.origins import MAX_COUNT, Origin
 
 MAX_SHARE_S = 366 * 24 * 3600
@@ -21,7 +21,7 @@ class Bundle(Shown):
     """Empty if the scene was deleted."""
     created_at: str
     num_files: int
-    size_bytes: float
+    size_bytes: SizeBytes
     thumbnail_url: str | None
     """A small picture of the object; null if the bundle has none."""
     labels: dict[str, str]
@@ -40,7 +40,7 @@ class BundleFile(Shown):
 
     path: str
     sha256: Sha256
-    size_bytes: float
+    size_bytes: SizeBytes
     media_type: str
     url: str
 

@@ -23,6 +23,10 @@ class Given(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
+SizeBytes = Annotated[int, Field(ge=0, json_schema_extra={"format": "int64"})]
+"""A size or position in bytes, below 2^53."""
+
+
 class Shown(BaseModel):
     """A body that the server sends."""
 
@@ -57,7 +61,7 @@ class Scene(Shown):
     created_at: str
     committed_at: str | None
     num_files: int
-    size_bytes: float
+    size_bytes: SizeBytes
     content_sha256: str | None
     thumbnail_url: str | None
     """A small photograph of the scene; null before its first check."""
@@ -259,7 +263,7 @@ class Artifact(Shown):
 
     name: str
     sha256: Sha256
-    size_bytes: float
+    size_bytes: SizeBytes
     media_type: str
     url: str
 
@@ -280,7 +284,7 @@ class Environment(Shown):
     width: int
     height: int
     sha256: Sha256
-    size_bytes: float
+    size_bytes: SizeBytes
     created_at: str
     url: str
 

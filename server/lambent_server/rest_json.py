@@ -1,7 +1,7 @@
 """Conversion between protobuf messages and the JSON of the REST interface.
 
 That is ProtoJSON with proto field names and every field written, except that enumerations are lower-case
-words without their prefix ("queued") and a message that is not set is null.
+words without their prefix ("queued"), a message that is not set is null, and sizes are integers.
 """
 
 from typing import Any, TypeVar
@@ -40,7 +40,9 @@ def _value_to_rest(field: Any, value: Any) -> Any:
         return to_rest(value)
     if field.enum_type is not None:
         return enum_text(field.enum_type, value)
-    return value
+    # Sizes are doubles in messages, as ProtoJSON writes 64-bit integers as strings.
+    is_size = field.name.endswith("_bytes") and isinstance(value, float) and value.is_integer()
+    return int(value) if is_size else value
 
 
 def to_rest(message: Message) -> dict[str, Any]:

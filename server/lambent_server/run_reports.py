@@ -1,5 +1,6 @@
 """Database changes for the messages of a run; called inside the transaction that checked its run number."""
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from google.protobuf.json_format import MessageToJson, Parse, ParseError
@@ -140,7 +141,8 @@ def store_scene_report(connection: Connection, job: Job, request: worker_pb2.Rep
 def store_failure(
     connection: Connection, job: Job, request: worker_pb2.FailRequest, settings: Settings
 ) -> None:
-    """End the run according to the cause of its failure."""
+    """End the run according to the cause of its failure; what it made nevertheless is published."""
+    _publish_artifacts(connection, job, request.artifacts)
     cause = enum_text(worker_pb2.FailCause, request.cause)
     if cause == "killed":
         set_fields(connection, job, error=None)
@@ -202,14 +204,8 @@ def publish(
     With a `signer`, a signed statement of where the bundle is from is stored with it.
     """
     tenant = owner(job)
-    for file in (*request.bundle_files, *request.artifacts):
-        check_path(file.path, "#/files")
-        if _require_blob(connection, job, file.sha256, file.path) != int(file.size_bytes):
-            raise Problem(422, "size_mismatch", f"{file.path}: the blob has another size")
-    for file in request.artifacts:
-        values = _file_values(file)
-        connection.execute(add(tenant, artifacts, job_id=job["id"], name=values.pop("path"), **values))
-        append_event(connection, job, NewEvent(type="artifact", name=file.path, sha256=file.sha256))
+    _require_files(connection, job, request.bundle_files)
+    _publish_artifacts(connection, job, request.artifacts)
     if not request.bundle_files:
         return None
     manifest = _check_manifest(request, store)
@@ -230,6 +226,23 @@ def publish(
         )
         provenance.store(connection, tenant, bundle_id, signer.envelope(statement))
     return bundle_id
+
+
+def _require_files(connection: Connection, job: Job, files: Iterable[worker_pb2.PublishedFile]) -> None:
+    """Raise the problem of files that were never uploaded, or that have another size or no safe path."""
+    for file in files:
+        check_path(file.path, "#/files")
+        if _require_blob(connection, job, file.sha256, file.path) != int(file.size_bytes):
+            raise Problem(422, "size_mismatch", f"{file.path}: the blob has another size")
+
+
+def _publish_artifacts(connection: Connection, job: Job, files: Sequence[worker_pb2.PublishedFile]) -> None:
+    """Insert the rows that make artifacts visible."""
+    _require_files(connection, job, files)
+    for file in files:
+        values = _file_values(file)
+        connection.execute(add(owner(job), artifacts, job_id=job["id"], name=values.pop("path"), **values))
+        append_event(connection, job, NewEvent(type="artifact", name=file.path, sha256=file.sha256))
 
 
 def _file_values(file: worker_pb2.PublishedFile) -> dict[str, Any]:

@@ -13,6 +13,8 @@ from datetime import timedelta
 from typing import Any
 from urllib.parse import urlsplit
 
+from lambent_proto.extras import pip_install
+
 MAX_COPY_BYTES = 5 * 1024**3
 """Largest object that S3 copies in one request."""
 # The bucket was there when the server started; a store that is coming back may not know it for a moment.
@@ -64,7 +66,7 @@ class S3Bucket:
             import boto3
             from botocore.config import Config
         except ModuleNotFoundError as error:
-            raise StoreSetupError("a store in S3 needs boto3: pip install 'lambent[s3]'") from error
+            raise StoreSetupError(f"a store in S3 needs boto3: {pip_install('s3')}") from error
         parts = urlsplit(options.url)
         self.name, self._prefix = parts.netloc, parts.path.strip("/")
         if not self.name:

@@ -18,6 +18,8 @@ from sqlalchemy import make_url
 
 Seconds = Annotated[float, Field(gt=0)]
 Size = Annotated[int, Field(ge=0)]
+LocalPath = Annotated[Path, AfterValidator(Path.absolute)]
+"""The same file in every process, whatever folder that process works in."""
 
 KIB = 1024
 MIB = 1024 * KIB
@@ -73,11 +75,14 @@ def _host_and_port(text: str | None) -> str | None:
 
 
 class Settings(BaseSettings):
-    """The complete configuration of one server, including every timeout, so that tests can shorten them."""
+    """The complete configuration of one server, including every timeout, so that tests can shorten them.
+
+    Relative paths are relative to the folder in which the command was given, and absolute from here on.
+    """
 
     model_config = SettingsConfigDict(env_prefix="LAMBENT_", frozen=True, extra="ignore")
 
-    data: Path = Field(default_factory=lambda: Path(user_data_dir("lambent")))
+    data: LocalPath = Field(default_factory=lambda: Path(user_data_dir("lambent")))
     """Folder for the database, the blobs, the key and the run folders."""
     host: str = "127.0.0.1"
     port: int = Field(default=8420, ge=0, le=65535)
@@ -91,10 +96,10 @@ class Settings(BaseSettings):
     database_direct: str | None = None
     """The same database without a connection pooler in between, for LISTEN; default: `database`. If it is
     set, statements are not prepared on `database`, where a pooler may change connections any time."""
-    secrets: Path | None = None
+    secrets: LocalPath | None = None
     """Folder with the secrets that all servers on a database share, such as a mounted one; default: in the
     database (PostgreSQL) or the data folder (SQLite)."""
-    database_password_file: Annotated[Path | None, AfterValidator(_readable)] = None
+    database_password_file: Annotated[LocalPath | None, AfterValidator(_readable)] = None
     """File with the password of the database's user, for addresses that should not contain it."""
     store: str | None = None
     """URL of the blob store, such as "s3://bucket/prefix"; default: a folder in the data folder."""
@@ -148,7 +153,7 @@ class Settings(BaseSettings):
 
     ray_address: str | None = None
     """Ray cluster: "10.0.0.5:6379" if this machine is one of its nodes, else "ray://10.0.0.5:10001"."""
-    ray_token_file: Path | None = None
+    ray_token_file: LocalPath | None = None
     """File with the token of the cluster; default: as Ray itself (RAY_AUTH_TOKEN, ~/.ray/auth_token)."""
     ray_without_token: bool = False
     """Use a cluster that obeys everybody who reaches it."""
@@ -176,12 +181,12 @@ class Settings(BaseSettings):
     default: only the socket in the data folder."""
     worker_public_address: Annotated[str | None, AfterValidator(_host_and_port)] = None
     """The same as run processes know it, if it differs."""
-    worker_certificate: Path | None = None
+    worker_certificate: LocalPath | None = None
     """Certificate chain (PEM) of `worker_address`, read again when the file has changed; default: one that
     the servers make themselves, with an authority that they share."""
-    worker_key: Path | None = None
+    worker_key: LocalPath | None = None
     """Its private key (PEM)."""
-    worker_authority: Path | None = None
+    worker_authority: LocalPath | None = None
     """Certificates (PEM) by which run processes check it; default: those that gRPC brings."""
     worker_plain: bool = False
     """Allow run processes of other machines to connect without TLS."""
@@ -248,17 +253,17 @@ class Settings(BaseSettings):
     ] = ()
     """Addresses and networks of proxies that name the client (`X-Forwarded-For`) and the scheme
     (`X-Forwarded-Proto`), separated by commas."""
-    provenance_key: Path | None = None
+    provenance_key: LocalPath | None = None
     """PEM file of the Ed25519 key that signs where bundles are from; made if it is missing. Default: in the
     data folder."""
     oidc_issuer: str | None = None
     """Issuer of the OpenID Connect provider at which people sign in, such as "https://id.example"."""
     oidc_client_id: str | None = None
-    oidc_client_secret_file: Path | None = None
+    oidc_client_secret_file: LocalPath | None = None
     """File with the client's secret; none for a public client."""
     oidc_scopes: str = "openid email profile"
     """Scopes to ask for."""
-    oidc_ca_file: Path | None = None
+    oidc_ca_file: LocalPath | None = None
     """Certificates of further authorities that the provider may use."""
     oidc_organisation_claim: str | None = None
     """Claim that names the organisations of a person by their ids: "studio", or "studio:viewer"."""
@@ -325,7 +330,7 @@ class Settings(BaseSettings):
     webhook_allow_http: bool = False
     """Allow webhooks without TLS."""
     webhook_ports: Annotated[tuple[int, ...], NoDecode, BeforeValidator(_split)] = (443, 8443)
-    webhook_ca_file: Path | None = None
+    webhook_ca_file: LocalPath | None = None
     """Certificates of further authorities that receivers may use."""
     webhook_timeout_s: Seconds = 10.0
     """For a whole attempt, from the look-up of the name to the first line of the answer."""

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from lambent_server.messages import Given, Sha256, Shown
+from lambent_server.messages import Given, Sha256, Shown, SizeBytes
 
 
 class UploadPart(Shown):
@@ -12,8 +12,8 @@ class UploadPart(Shown):
 
     number: int
     """From 1; 0 for a whole file."""
-    offset: float
-    size_bytes: float
+    offset: SizeBytes
+    size_bytes: SizeBytes
     url: str
     headers: dict[str, str]
     """Headers that must be sent with it."""
@@ -23,7 +23,7 @@ class FileUpload(Shown):
     """What is still to be sent of a file; report its completion afterwards."""
 
     sha256: Sha256
-    size_bytes: float
+    size_bytes: SizeBytes
     parts: list[UploadPart]
     """Empty if everything was sent already."""
     expires_at: str

@@ -27,9 +27,9 @@ TRAINER = Path(__file__).parents[1] / "support" / "bundle_trainer.py"
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
-    """Return a server with two slots."""
+    """Return a server with two slots, whose data folder was given as a relative one."""
     command = json.dumps([sys.executable, str(TRAINER), "run"])
-    data = tmp_path_factory.mktemp("server") / "data"
+    data = Path(os.path.relpath(tmp_path_factory.mktemp("server") / "data"))
     with LiveServer(data, run_command=command, local_slots=2) as server:
         yield server
 

@@ -27,6 +27,10 @@ class UsageError(WorkerError):
     exit_code = 2
 
 
+class IncompleteError(UsageError):
+    """A part of the result could not be made; the artifacts sent so far are published."""
+
+
 class SceneRefusedError(WorkerError):
     """The scene cannot be used; `report` lists every problem that was found."""
 

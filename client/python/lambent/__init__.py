@@ -4,6 +4,40 @@ Nothing is imported before it is used, so that `lambent --help` stays fast.
 """
 
 import importlib
+from typing import TYPE_CHECKING
+
+# For programs that check types; `__getattr__` does the same when a name is used.
+if TYPE_CHECKING:
+    from lambent.client import Client
+    from lambent.errors import (
+        DigestMismatchError,
+        JobNotSucceededError,
+        LambentError,
+        PointerError,
+        RefusedError,
+        ServerFaultError,
+        UnreachableError,
+        UsageProblemError,
+        WaitTimeoutError,
+    )
+    from lambent.fetch import FetchedBundle
+    from lambent.models import (
+        Artifact,
+        Batch,
+        Delivery,
+        Environment,
+        Event,
+        Finding,
+        Job,
+        JobError,
+        Progress,
+        Scene,
+        SceneReport,
+        Share,
+        Webhook,
+    )
+    from lambent.settings import ServerAddress
+    from lambent.webhooks import WebhookVerificationError
 
 __version__ = "0.1.0"
 
@@ -20,6 +54,7 @@ _HOMES = {
     "Finding": "models",
     "Scene": "models",
     "SceneReport": "models",
+    "Share": "models",
     "Webhook": "models",
     "WebhookVerificationError": "webhooks",
     "FetchedBundle": "fetch",
@@ -32,9 +67,38 @@ _HOMES = {
     "ServerFaultError": "errors",
     "UnreachableError": "errors",
     "UsageProblemError": "errors",
+    "WaitTimeoutError": "errors",
 }
 
-__all__ = [*_HOMES, "__version__"]
+__all__ = [
+    "Artifact",
+    "Batch",
+    "Client",
+    "Delivery",
+    "DigestMismatchError",
+    "Environment",
+    "Event",
+    "FetchedBundle",
+    "Finding",
+    "Job",
+    "JobError",
+    "JobNotSucceededError",
+    "LambentError",
+    "PointerError",
+    "Progress",
+    "RefusedError",
+    "Scene",
+    "SceneReport",
+    "ServerAddress",
+    "ServerFaultError",
+    "Share",
+    "UnreachableError",
+    "UsageProblemError",
+    "WaitTimeoutError",
+    "Webhook",
+    "WebhookVerificationError",
+    "__version__",
+]
 
 
 def __getattr__(name: str) -> object:

@@ -4,6 +4,8 @@ import os
 import sys
 from typing import NoReturn
 
+from lambent_proto.extras import pip_install
+
 # Before anything can load an OpenMP runtime: spinning threads stall every neighbour.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
@@ -24,7 +26,7 @@ def _lacks(package: str | None) -> int:
     """Say on standard error that the command itself lacks a package, and return its exit code."""
     print(
         f"error: cli.missing_package: `lambent` cannot start: the package {package!r} is not installed; "
-        "pip install lambent",
+        + pip_install(),
         file=sys.stderr,
     )
     return 2

@@ -10,9 +10,11 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from lambent.errors import UsageProblemError
+
+F = TypeVar("F")
 
 _ID = re.compile(r"[A-Za-z0-9_\-]{1,128}")
 _SHOWN = 40
@@ -96,6 +98,13 @@ def mapping(value: object, name: str) -> dict[str, Any]:
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
         raise _refused(name, value, "give a mapping")
     return dict(value)
+
+
+def function(value: F, name: str) -> F:
+    """Return a function, or whatever else can be called."""
+    if not callable(value):
+        raise _refused(name, value, "give a function")
+    return value
 
 
 def instance(value: object, kind: type, name: str, advice: str) -> None:

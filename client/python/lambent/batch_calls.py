@@ -1,6 +1,6 @@
 """What a client asks a server about batches of pictures."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +8,7 @@ from lambent import arguments, pictures
 from lambent import fetch as fetching
 from lambent.connection import Connection
 from lambent.models import Artifact, Batch
+from lambent.waiting import T, Wait
 
 
 def _batch(batch_id: str) -> str:
@@ -18,6 +19,20 @@ class BatchCalls:
     """The part of `Client` for batches."""
 
     _connection: Connection
+    _sleep: Callable[[float], None]
+    _clock: Callable[[], float]
+
+    def _until_final(
+        self, read: Callable[[float], T], timeout_s: float | None, progress: Callable[[T], None] | None
+    ) -> T:
+        """Return what `read` returns once that is final."""
+        return Wait(
+            read=read,
+            timeout_s=None if timeout_s is None else arguments.seconds(timeout_s, "timeout_s"),
+            progress=None if progress is None else arguments.function(progress, "progress"),
+            sleep=self._sleep,
+            clock=self._clock,
+        ).until_final()
 
     def submit_batch(self, order: Mapping[str, Any], *, idempotency_key: str = "") -> Batch:
         """Queue a batch (the body of `POST /v1/batches`); the same `idempotency_key` makes one only."""
@@ -32,6 +47,16 @@ class BatchCalls:
     def batches(self) -> Iterator[Batch]:
         """Return batches, newest first."""
         return map(Batch.from_json, self._connection.pages("/v1/batches"))
+
+    def wait_batch(
+        self,
+        batch_id: str,
+        *,
+        timeout_s: float | None = None,
+        progress: Callable[[Batch], None] | None = None,
+    ) -> Batch:
+        """Return the batch once every job of it has ended; the arguments are those of `wait`."""
+        return self._until_final(lambda _within_s: self.batch(batch_id), timeout_s, progress)
 
     def cancel_batch(self, batch_id: str) -> Batch:
         """Ask for every job of a batch to be stopped."""

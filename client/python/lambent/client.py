@@ -15,6 +15,7 @@ from lambent.connection import Connection, TransferProgress, ignore_progress
 from lambent.errors import JobNotSucceededError, UsageProblemError
 from lambent.models import Artifact, Environment, Event, Job, Scene, SceneReport, Share
 from lambent.settings import find_server
+from lambent.waiting import ANSWER_S
 from lambent.watch import PATIENCE_S, POLL_S, SILENCE_S, Watcher
 from lambent.webhook_calls import WebhookCalls
 
@@ -182,12 +183,26 @@ class Client(BatchCalls):
         path = _job(job_id)
         return Job.from_json(self._connection.json("GET", path, params=params, timeout_s=60.0 + wait_s))
 
-    def wait(self, job_id: str) -> Job:
-        """Return the job once it is final, however long that takes."""
-        for update in self.watch([job_id]):
-            if isinstance(update, Job) and update.is_final:
-                return update
-        return self.job(job_id)
+    def wait(
+        self,
+        job_id: str,
+        *,
+        timeout_s: float | None = None,
+        progress: Callable[[Job], None] | None = None,
+    ) -> Job:
+        """Return the job once it is final; look at its `state`, which may be "failed" or "cancelled".
+
+        `progress` is called with the job whenever its state or progress has changed, about once a second.
+        After `timeout_s`, WaitTimeoutError (a TimeoutError) is raised and the job continues; None: however
+        long it takes.
+        """
+        path = _job(job_id)
+
+        def read(within_s: float) -> Job:
+            asked = {"params": {"wait": within_s}, "timeout_s": within_s + ANSWER_S}
+            return Job.from_json(self._connection.json("GET", path, **asked))
+
+        return self._until_final(read, timeout_s, progress)
 
     def change(
         self,

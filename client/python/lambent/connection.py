@@ -5,6 +5,7 @@ import random
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -45,9 +46,7 @@ class Connection:
         transport: httpx2.BaseTransport | None = None,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        from lambent import __version__
-
-        headers = {"User-Agent": f"lambent/{__version__}"}
+        headers = {"User-Agent": f"lambent/{version('lambent')}"}
         if address.api_key:
             headers["Authorization"] = f"Bearer {address.api_key}"
         self.address = address

@@ -44,6 +44,10 @@ class JobNotSucceededError(LambentError):
     """A job ended in another state than "succeeded", or has not ended yet."""
 
 
+class WaitTimeoutError(LambentError, TimeoutError):
+    """A job or batch has not ended within the time given; it has not been stopped."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PointerError:
     """One fault inside a request body: a JSON pointer and what is wrong there."""

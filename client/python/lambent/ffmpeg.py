@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from lambent_proto.extras import pip_install
+
 from lambent.errors import UsageProblemError
 
 
@@ -23,7 +25,7 @@ def package() -> Any:
         import imageio_ffmpeg
     except ModuleNotFoundError as error:
         raise UsageProblemError(
-            "cli.missing_extra", "films need the package 'imageio-ffmpeg'", "pip install 'lambent[film]'"
+            "cli.missing_extra", "films need the package 'imageio-ffmpeg'", pip_install("film")
         ) from error
     try:
         imageio_ffmpeg.get_ffmpeg_exe()

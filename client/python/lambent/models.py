@@ -143,7 +143,7 @@ class Artifact(_Message):
 
     name: str
     sha256: str
-    size_bytes: float = 0.0
+    size_bytes: int = 0
     media_type: str = "application/octet-stream"
     url: str = ""
     job_id: str = ""
@@ -160,7 +160,7 @@ class Environment(_Message):
     width: int = 0
     height: int = 0
     sha256: str = ""
-    size_bytes: float = 0.0
+    size_bytes: int = 0
     created_at: str = ""
 
 
@@ -274,7 +274,7 @@ class Scene(_Message):
     name: str = ""
     created_at: str = ""
     num_files: int = 0
-    size_bytes: float = 0.0
+    size_bytes: int = 0
     content_sha256: str = ""
     labels: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
@@ -294,6 +294,8 @@ _READERS: Mapping[str, Callable[[Any], Any]] = {
     "progress": Progress.from_json,
     "error": JobError.from_json,
     "seq": int,
+    # Earlier servers write 3084.0.
+    "size_bytes": int,
     "findings": lambda items: tuple(map(Finding.from_json, items)),
     "job_ids": tuple,
     "events": tuple,

@@ -109,7 +109,9 @@ def __getattr__(name: str) -> object:
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("lambent"):
             raise
-        advice = f"{__name__} needs the package {error.name!r}: pip install 'lambent[client]'"
+        from lambent_proto.extras import pip_install
+
+        advice = f"{__name__} needs the package {error.name!r}: {pip_install('client')}"
         raise ModuleNotFoundError(advice, name=error.name) from error
 
 

@@ -1,9 +1,11 @@
 """The passes of a relit picture as layers of one EXR file, for compositing.
 
-Layers are named as compositing programs expect: "layer.R" and so on; the beauty pass is R, G, B, A. Radiance
-is multiplied by coverage, so that layers add up under any background: direct + indirect = diffuse + specular
-= the beauty pass (where it has no background). Depth is planar and far where nothing is, as compositing
-programs expect it. Source: docs/reference/conventions.md (colour, depth).
+Layers are named as compositing programs expect: "layer.R" and so on; the beauty pass is R, G, B, A. What has
+channels R, G and B is multiplied by coverage, albedo like radiance: edges are as soft as the beauty pass's,
+and layers add up under any background: direct + indirect = diffuse + specular = the beauty pass (where it has
+no background). What is measured (X, Y, Z, V) is the mean over the covered part of a pixel, so that normals
+are unit vectors up to the edge. Depth is planar and far where nothing is, as compositing programs expect it.
+Source: docs/reference/conventions.md (colour, depth).
 """
 
 from collections.abc import Collection, Mapping
@@ -22,6 +24,7 @@ RADIANCE_PASSES = PASSES[:4]
 ATTRIBUTES: Mapping[str, str] = {
     "lambent:colorspace": "Linear Rec.709 (sRGB)",
     "colorInteropID": "lin_rec709_scene",
+    "lambent:premultiplied": "R, G, B of every layer",
     "lambent:normal": "world, right-handed, z up",
     "lambent:depth": "Z: along the camera's axis, distance.V: along the ray, scene units; 1e10 where empty",
 }
@@ -41,8 +44,8 @@ def exr_channels(
 ) -> dict[str, NDArray[np.floating]]:
     """Return the channels of a picture's EXR by name, [height, width] each.
 
-    R, G, B (times alpha) and A. With `passes`, all or some names of `PASSES`, also the radiance passes and
-    standard_error (times coverage; R, G, B each), albedo (R, G, B), normal (X, Y, Z), visibility,
+    R, G, B (times alpha) and A. With `passes`, all or some names of `PASSES`, also the radiance passes,
+    albedo and standard_error (times coverage; R, G, B each), as they are normal (X, Y, Z), visibility,
     perceptual_roughness, metalness (V), for depth Z along the camera's axis and distance.V along the ray,
     both `EMPTY_DEPTH` where there is no object, and for cryptomatte the mask of the object `object_name`.
     """
@@ -60,8 +63,9 @@ def exr_channels(
             layer(name, getattr(picture, name) * picture.coverage, "RGB")
     if "standard_error" in wanted:
         layer("standard_error", picture.standard_error * picture.opacity, "RGB")
+    if "albedo" in wanted:
+        layer("albedo", picture.albedo * picture.coverage, "RGB")
     for name, letters in (
-        ("albedo", "RGB"),
         ("normal", "XYZ"),
         ("visibility", "V"),
         ("perceptual_roughness", "V"),
@@ -83,9 +87,16 @@ def as_written_now(
 ) -> dict[str, NDArray[np.floating]]:
     """Return the channels of one of our EXRs, of any age, with the names and meanings of `exr_channels`.
 
-    The Z of old files becomes distance.V; they have no planar depth, and the result has no Z then.
+    The Z of old files becomes distance.V; they have no planar depth, and the result has no Z then. Their
+    albedo is not multiplied by coverage.
     """
     found = dict(channels)
+    if "lambent:premultiplied" not in attributes:
+        # Without the mask, alpha, which is the coverage of a picture without background.
+        coverage = found.get("CryptoObject00.G", found.get("A"))
+        for name in ("albedo.R", "albedo.G", "albedo.B"):
+            if name in found and coverage is not None:
+                found[name] = (found[name] * coverage).astype(found[name].dtype)
     if attributes.get("lambent:depth") == _OLD_DEPTH and "Z" in found:
         distance = found.pop("Z")
         found["distance.V"] = np.where(distance <= 0.0, np.float32(EMPTY_DEPTH), distance)

@@ -6,6 +6,7 @@ by alpha as the format demands. Source: docs/reference/conventions.md (colour).
 
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -68,12 +69,12 @@ def write_picture_exr(
     """Write a picture as linear EXR with channels R, G, B (times alpha) and A.
 
     With `passes` also every pass of `lambent_relight.aovs`, or those that are named, as layers. `attributes`
-    are written into the header beside what it says of colour, normals and depth. `layers` are channels of the
-    same picture that are made already. With `half` channels are half floats, but for depth and the mask.
-    `object_name` is what the Cryptomatte calls the object.
+    are written into the header beside what it says of colour, camera, normals and depth. `layers` are
+    channels of the same picture that are made already. With `half` channels are half floats, but for depth
+    and the mask. `object_name` is what the Cryptomatte calls the object.
     """
     instance(picture, RelitPicture, "picture", _MADE_BY)
-    header = {**ATTRIBUTES, **(attributes or {})}
+    header: dict[str, Any] = {**ATTRIBUTES, **picture.camera_attributes, **(attributes or {})}
     channels = {**(layers or {}), **exr_channels(picture, passes=passes, object_name=object_name)}
     if not channels.keys().isdisjoint(cryptomatte.CHANNELS):
         header |= cryptomatte.cryptomatte_attributes(object_name)

@@ -1,6 +1,7 @@
 """The result of relighting: a linear picture and its passes."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ class RelitPicture:
     """Part of `rgb` that the diffuse lobe reflects; `diffuse` + `specular` = `direct` + `indirect`."""
     specular: Image
     visibility: Image
-    """Share of the cosine-weighted hemisphere that nothing blocks, [height, width, 1]."""
+    """Share of the cosine-weighted hemisphere that nothing blocks, in [0, 1], [height, width, 1]."""
     albedo: Image
     """Base colour used, after edits, [height, width, 3]."""
     normal: Image
@@ -46,6 +47,8 @@ class RelitPicture:
     bounces: str = ""
     """Source of indirect light: `adapted:<light>`, `baked` (in part as it was baked at the surface itself),
     `transport` (of what rays hit), `one`, a number of bounces, or empty without indirect light."""
+    camera_attributes: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    """The camera as attributes of EXR files: worldToCamera and worldToNDC, [4, 4]."""
 
     def __repr__(self) -> str:
         """Return size, samples and source of bounced light in one line."""

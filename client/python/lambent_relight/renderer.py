@@ -20,6 +20,7 @@ from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.bundle.adapted import choose
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import NoCaches, OnnxCaches, SurfaceCaches
+from lambent_relight.camera_matrices import camera_attributes
 from lambent_relight.cameras import Camera
 from lambent_relight.directions import normalise, rotate_about_z
 from lambent_relight.edits import MaterialEdit
@@ -275,12 +276,8 @@ class Renderer:
         if isinstance(scene.around, MeshSurroundings) or bounces == "baked":
             settled = self.baked().traced.settled(view.origin, view.direction, seen.distance)
             position = settled.position
-        points = SurfacePoints(
-            position,
-            seen.normal,
-            -view.direction,
-            materials_from_roughness(albedo, roughness, seen.metalness),
-        )
+        materials = materials_from_roughness(albedo, roughness, seen.metalness)
+        points = SurfacePoints(position, seen.normal, -view.direction, materials)
         pixels = PixelRays.of(view.pixel, seen.opacity)
         known = None
         if settled is not None:
@@ -289,8 +286,7 @@ class Renderer:
             known = self.baked().known_light(points, settled, hits=hits, sky=sky)
         radiance = estimated(points, pixels, scene, light, settings, progress, known)
         coverage, distance = view.coverage(), view.mean(seen.distance)
-        direct, bounced = view.mean(radiance.direct), view.mean(radiance.indirect)
-        specular = view.mean(radiance.specular)
+        direct, bounced, specular = map(view.mean, (radiance.direct, radiance.indirect, radiance.specular))
         return RelitPicture(
             rgb=direct + bounced,
             opacity=coverage,
@@ -299,7 +295,7 @@ class Renderer:
             indirect=bounced,
             diffuse=direct + bounced - specular,
             specular=specular,
-            visibility=view.mean(radiance.visibility[:, :1]),
+            visibility=np.clip(view.mean(radiance.visibility[:, :1]), 0.0, 1.0),
             albedo=view.mean(albedo),
             normal=normalise(view.mean(seen.normal)),
             perceptual_roughness=view.mean(roughness),
@@ -309,6 +305,7 @@ class Renderer:
             coverage=coverage,
             num_samples=radiance.mean_samples * settings.antialias**2,
             bounces=bounces,
+            camera_attributes=camera_attributes(camera),
         )
 
 

@@ -352,16 +352,18 @@ class FinishResponse(_message.Message):
     def __init__(self) -> None: ...
 
 class FailRequest(_message.Message):
-    __slots__ = ("fence", "cause", "code", "message")
+    __slots__ = ("fence", "cause", "code", "message", "artifacts")
     FENCE_FIELD_NUMBER: _ClassVar[int]
     CAUSE_FIELD_NUMBER: _ClassVar[int]
     CODE_FIELD_NUMBER: _ClassVar[int]
     MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    ARTIFACTS_FIELD_NUMBER: _ClassVar[int]
     fence: Fence
     cause: FailCause
     code: str
     message: str
-    def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., cause: _Optional[_Union[FailCause, str]] = ..., code: _Optional[str] = ..., message: _Optional[str] = ...) -> None: ...
+    artifacts: _containers.RepeatedCompositeFieldContainer[PublishedFile]
+    def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., cause: _Optional[_Union[FailCause, str]] = ..., code: _Optional[str] = ..., message: _Optional[str] = ..., artifacts: _Optional[_Iterable[_Union[PublishedFile, _Mapping]]] = ...) -> None: ...
 
 class FailResponse(_message.Message):
     __slots__ = ()

@@ -2,6 +2,8 @@
 
 import importlib.util
 
+from lambent_proto.extras import pip_install
+
 from lambent_server.executors import Executor
 from lambent_server.executors.groups import groups_or_none
 from lambent_server.executors.local import LocalExecutor
@@ -20,7 +22,7 @@ def open_executor(settings: Settings, secret: str) -> Executor:
     if settings.executor == "local":
         return LocalExecutor(settings, groups_or_none())
     if importlib.util.find_spec("ray") is None:
-        raise ExecutorSetupError('serve.ray_missing: Ray is not installed; pip install "lambent[server,ray]"')
+        raise ExecutorSetupError(f"serve.ray_missing: Ray is not installed; {pip_install('server', 'ray')}")
     if settings.ray_address is None:
         raise ExecutorSetupError(
             "serve.ray_address_missing: set LAMBENT_RAY_ADDRESS to the cluster, such as 10.0.0.5:6379"

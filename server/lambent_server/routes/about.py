@@ -42,6 +42,10 @@ def get_limits(services: ServicesOf, tenant: TenantOf) -> Limits:
     )
 
 
+def _whole(limit: float | None) -> int | None:
+    return None if limit is None else int(limit)
+
+
 def _quotas(services: Services, connection: Connection, tenant: Tenant) -> list[Quota]:
     limits = quotas.quotas_of(connection, tenant, services.settings)
     stored = usage.amount(connection, tenant, usage.BYTES)
@@ -49,8 +53,8 @@ def _quotas(services: Services, connection: Connection, tenant: Tenant) -> list[
     promised = job_queries.promised_gpu_minutes(connection, tenant)
     minutes = quotas.month_used(connection, tenant) + promised
     return [
-        Quota(name="max_bytes", limit=limits.bytes, used=stored),
-        Quota(name="max_queued_jobs", limit=float(limits.jobs), used=float(unfinished)),
+        Quota(name="max_bytes", limit=_whole(limits.bytes), used=int(stored)),
+        Quota(name="max_queued_jobs", limit=_whole(limits.jobs), used=unfinished),
         Quota(name="max_gpu_minutes", limit=limits.gpu_minutes, used=round(minutes, 1)),
     ]
 

@@ -40,12 +40,12 @@ def offers(services: Services, tenant: Tenant, wanted: Mapping[str, int]) -> lis
 def _show(offer: Offer) -> FileUpload:
     return FileUpload(
         sha256=offer.sha256,
-        size_bytes=float(offer.size_bytes),
+        size_bytes=offer.size_bytes,
         parts=[
             UploadPart(
                 number=part.number,
-                offset=float(part.offset),
-                size_bytes=float(part.size_bytes),
+                offset=part.offset,
+                size_bytes=part.size_bytes,
                 url=part.url,
                 headers=dict(part.headers),
             )

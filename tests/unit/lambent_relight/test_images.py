@@ -85,7 +85,7 @@ def test_exr_is_linear_premultiplied_named_and_states_its_primaries(tmp_path):
     channels = {name: channel.pixels for name, channel in part.channels.items()}
     np.testing.assert_array_equal(channels["G"], (source.rgb * source.opacity)[..., 1])
     np.testing.assert_array_equal(channels["A"], source.opacity[..., 0])
-    np.testing.assert_array_equal(channels["albedo.B"], source.albedo[..., 2])
+    np.testing.assert_array_equal(channels["albedo.B"], (source.albedo * source.coverage)[..., 2])
     np.testing.assert_array_equal(channels["normal.Z"], source.normal[..., 2])
     assert {"direct.R", "indirect.R", "standard_error.R", "perceptual_roughness.V", "metalness.V"} <= set(
         channels
@@ -164,3 +164,27 @@ def test_a_file_of_today_is_read_as_it_was_written(tmp_path):
     channels = read_picture_exr(tmp_path / "p.exr")
     np.testing.assert_array_equal(channels["Z"], picture().depth[..., 0])
     np.testing.assert_array_equal(channels["distance.V"], picture().distance[..., 0])
+
+
+def test_colours_of_all_layers_are_multiplied_by_coverage_and_measurements_are_not(tmp_path):
+    """A compositing program divides what has R, G and B by alpha, and finds edges as soft as the beauty."""
+    source = replace(picture(), coverage=picture().opacity * np.float32(0.5))
+    write_picture_exr(tmp_path / "p.exr", source, half=False)
+    part = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0]
+    found = {name: channel.pixels for name, channel in part.channels.items()}
+    for name in ("direct", "indirect", "diffuse", "specular", "albedo"):
+        np.testing.assert_array_equal(found[f"{name}.G"], (getattr(source, name) * source.coverage)[..., 1])
+    np.testing.assert_array_equal(found["G"], (source.rgb * source.opacity)[..., 1])
+    for name in ("visibility", "perceptual_roughness", "metalness"):
+        np.testing.assert_array_equal(found[f"{name}.V"], getattr(source, name)[..., 0])
+    np.testing.assert_array_equal(found["normal.X"], source.normal[..., 0])
+    assert part.header["lambent:premultiplied"] == "R, G, B of every layer"
+
+
+@pytest.mark.parametrize("mask", [True, False])
+def test_the_albedo_of_an_older_file_is_read_as_one_of_today(tmp_path, mask):
+    old = {name: np.full((2, 3), 0.5, np.float32) for name in ("A", "albedo.R", "albedo.G", "albedo.B")}
+    if mask:
+        old |= {f"CryptoObject00.{letter}": np.full((2, 3), 0.25, np.float32) for letter in "RGBA"}
+    write_exr(tmp_path / "old.exr", old, half=False)
+    np.testing.assert_array_equal(read_picture_exr(tmp_path / "old.exr")["albedo.G"], 0.125 if mask else 0.25)

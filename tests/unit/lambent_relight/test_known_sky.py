@@ -117,3 +117,20 @@ def test_moments_of_cells_are_the_light_of_the_whole_sky():
     own = np.einsum("ni,ni->n", some, cells.directions[cell])
     best = (some @ cells.directions.T).max(axis=1)
     assert (np.arccos(np.clip(own, -1, 1)) - np.arccos(np.clip(best, -1, 1))).max() < 0.05
+
+
+def test_no_corner_of_a_cell_is_below_a_surface_that_the_cell_is_said_to_be_above():
+    """`least_cosine` is the sine of the largest angle between a stored direction and its pixels' corners."""
+    cells = SkyCells.of(sky(40.0), shadow_directions())
+    rows, columns = cells.cell.shape
+    inside = 1e-6
+    for down in (inside, 1.0 - inside):
+        for right in (inside, 1.0 - inside):
+            row, column = np.mgrid[:rows, :columns]
+            polar = np.pi * (row + down) / rows
+            azimuth = 2.0 * np.pi * (0.5 - (column + right) / columns + 40.0 / 360.0)
+            corner = np.stack(
+                [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1
+            )
+            own = (corner * cells.directions[cells.cell]).sum(axis=-1)
+            assert np.arccos(np.clip(own, -1.0, 1.0)).max() <= np.arcsin(cells.least_cosine) + 1e-5

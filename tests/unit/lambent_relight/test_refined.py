@@ -161,3 +161,23 @@ def test_no_pixel_gets_more_than_64_times_the_first_round_and_those_that_lack_th
     assert found.num_samples.max() <= most
     # Nothing shorter than a first round is left to give.
     assert found.num_samples[-40:].min() > most - 2 * first
+
+
+def test_no_two_rounds_draw_the_same_directions(monkeypatch):
+    """With one seed the stated error would fall with every repeat, and the true one would not."""
+    seeds = []
+
+    def noisy(points, *_, num_samples, seed, pixels, **__):
+        seeds.append(seed)
+        count = len(pixels.first)
+        flat, error = np.full((count, 3), 0.5, np.float32), np.full((count, 3), 0.5, np.float32)
+        return Radiance(flat, flat, flat, flat, error, num_samples, 1, np.zeros((2, count)))
+
+    monkeypatch.setattr(sampling_plan, "outgoing_radiance", noisy)
+    place = np.zeros((8, 3), np.float32)
+    points = SurfacePoints(place, place, place, place)
+    settings = settled(spp=4, antialias=1, until_stderr=1e-2, seed=5)
+    estimated(points, PixelRays.alone(8), None, None, settings, None)
+    assert len(seeds) > 2
+    assert len(set(seeds)) == len(seeds)
+    assert seeds[0] == 5

@@ -44,7 +44,7 @@ def test_bundles_are_listed_with_what_they_are_made_of(api: Api, tmp_path: Path)
     add_bundle(api, tmp_path, {"manifest.json": b"{ }"}, bundle_id="bundle_y")
     newest, oldest = expect(api.get("/v1/bundles"), 200)["items"]
     assert newest == {**newest, "id": "bundle_y", "scene_name": "", "num_files": 1}
-    assert oldest == {**oldest, "scene_name": "a scene", "num_files": 2, "size_bytes": 7.0}
+    assert oldest == {**oldest, "scene_name": "a scene", "num_files": 2, "size_bytes": 7}
     files = expect(api.get("/v1/bundles/bundle_x"), 200)["files"]
     assert [each["path"] for each in files] == ["asset.glb", "manifest.json"]
     assert api.get(files[0]["url"]).content == b"12345"

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lambent_proto.v1 import bundle_pb2, capture_pb2, evaluation_pb2, job_pb2, scene_pb2
 from lambent_server import messages
+from lambent_server.app import describe
 from lambent_server.rest_json import enum_number, enum_text, from_rest, to_rest
 
 MIRRORED = [
@@ -128,3 +129,21 @@ def test_enumerations_are_words():
     assert enum_text(scene_pb2.Severity, 0) == ""
     with pytest.raises(KeyError):
         enum_number(job_pb2.JobState, "asleep")
+
+
+def test_sizes_are_integers():
+    manifest = bundle_pb2.BundleManifest(files=[{"path": "a", "size_bytes": 3084.0}])
+    assert '"size_bytes": 3084,' in json.dumps(to_rest(manifest))
+
+
+def test_every_size_that_the_interface_shows_is_an_integer():
+    """Programs in languages with a type for integers read what is described as one."""
+    schemas = describe()["components"]["schemas"]
+    sizes = [
+        (name, field, shown)
+        for name, schema in schemas.items()
+        for field, shown in schema.get("properties", {}).items()
+        if field.endswith("_bytes") or field in ("size", "offset")
+    ]
+    assert len(sizes) >= 10
+    assert [each for each in sizes if each[2].get("type") != "integer"] == []

@@ -2,7 +2,6 @@
 
 import os
 import pickle
-import signal
 import socket
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from types import TracebackType
 from typing import Any
 
 import torch
+from lambent_compute.group_signals import GROUP_SIGNALS, held_back, ignore
 
 from flashcache.errors import ProcessEndedError
 from flashcache.parallel.shared_memory import Channel, SharedMemory
@@ -92,7 +92,10 @@ class _Other:
         ours, theirs = socket.socketpair()
         with theirs:
             command = [sys.executable, "-P", "-c", f"from {_MODULE} import serve; serve({theirs.fileno()})"]
-            self._process = subprocess.Popen(command, pass_fds=(theirs.fileno(),), stdin=subprocess.DEVNULL)
+            with held_back(*GROUP_SIGNALS):
+                self._process = subprocess.Popen(
+                    command, pass_fds=(theirs.fileno(),), stdin=subprocess.DEVNULL
+                )
         self._channel = Channel(Connection(ours.detach()))
 
     def give(self, answerer: Answerer, block: SharedMemory) -> None:
@@ -136,8 +139,7 @@ class _Other:
 
 def serve(descriptor: int) -> None:
     """Answer questions until the process that started this one closes the socket or ends."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+    ignore(*GROUP_SIGNALS)
     torch.set_num_threads(1)
     channel = Channel(Connection(descriptor))
     answerer: Answerer | None = None

@@ -82,7 +82,10 @@ class EstimatorConfig:
     directions in training only, for the fast cache and the light sampler to learn from."""
     sampler: Literal["vmf", "none"] = "vmf"
     stratified: bool = False
-    """Spread the variates of a point evenly (unbiased, less noise); the paper draws them independently."""
+    """Spread the variates of a point evenly (unbiased, less noise); the paper draws them independently.
+
+    Stated variances are those of independent variates, and with this an upper bound: 4 to 10 times the true
+    ones where that was measured."""
     normal_gradient: float = 0.01
     """Factor on the gradient that reaches the shading normal."""
     through_cache: float = 0.0

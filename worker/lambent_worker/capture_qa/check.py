@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from google.protobuf import json_format
+from lambent_compute.group_signals import GROUP_SIGNALS, held_back
 from lambent_proto.v1 import capture_pb2, scene_pb2
 from lambent_sandbox.sandbox import (
     AVAILABLE,
@@ -130,9 +131,11 @@ def _ask(order: str) -> tuple[str, int]:
     environment = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PATH": os.environ.get("PATH", "")}
     # Modules are found where this process finds them.
     environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
-    with subprocess.Popen(
-        COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
-    ) as child:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    # A child that Ctrl-C ended would look as if a file of the capture had ended it.
+    with held_back(*GROUP_SIGNALS):
+        started = subprocess.Popen(COMMAND, env=environment, **pipes)
+    with started as child:
         assert child.stdin is not None
         assert child.stdout is not None
         timer = threading.Timer(MAX_WALL_S, child.kill)
@@ -144,6 +147,9 @@ def _ask(order: str) -> tuple[str, int]:
             output = child.stdout.read(MAX_OUTPUT_BYTES)
         except BrokenPipeError:
             output = b""
+        except BaseException:
+            child.kill()
+            raise
         finally:
             timer.cancel()
             if child.poll() is None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from lambent_proto.extras import pip_install
 
 from lambent_worker.errors import SceneRefusedError, UsageError, WorkerError
 
@@ -81,7 +82,7 @@ def require_worker(form: str, instead: str) -> None:
     if importlib.util.find_spec("torch") is None:
         raise UsageError(
             "cli.missing_extra",
-            f"{form} needs torch, which is not installed: pip install 'lambent[worker]'; {instead}",
+            f"{form} needs torch, which is not installed: {pip_install('worker')}; {instead}",
         )
 
 

@@ -82,7 +82,7 @@ class Identity:
         """Return the identity in `LAMBENT_RUN`."""
         given = json.loads(environment["LAMBENT_RUN"])
         servers = tuple(given.get("servers", ()))
-        return cls(**{**given, "work_dir": Path(given["work_dir"]), "servers": servers})
+        return cls(**{**given, "work_dir": Path(given["work_dir"]).absolute(), "servers": servers})
 
     @property
     def fence(self) -> worker_pb2.Fence:

@@ -12,7 +12,7 @@ from flashcache.errors import ConfigError, ProcessEndedError, TrainingError
 from lambent_proto.v1 import worker_pb2
 
 from lambent_worker.capture_qa.check_result import CaptureCheck, tell_findings
-from lambent_worker.errors import SceneRefusedError, Stopped, UsageError, WorkerError
+from lambent_worker.errors import IncompleteError, SceneRefusedError, Stopped, UsageError, WorkerError
 from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError, UnreachableError
 from lambent_worker.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
 from lambent_worker.job.order import Check, Order, Pipeline
@@ -135,6 +135,8 @@ def _work(
         request = describe_failure(error)
         request.fence.CopyFrom(fence)
         reporter.close()
+        if isinstance(error, IncompleteError):
+            request.artifacts.extend(reporter.artifacts)
         connection.call(connection.stub.Fail, request)
         return
     reporter.close()

@@ -23,7 +23,7 @@ from lambent_relight.batch.sheet_lights import light_pictures
 from lambent_relight.batch.summary import TABLE, TileOf, write_sheets, write_table
 from lambent_relight.errors import RelightError
 
-from lambent_worker.errors import Stopped, UsageError
+from lambent_worker.errors import IncompleteError, Stopped, UsageError
 from lambent_worker.files import link_or_copy
 from lambent_worker.reporter import Reporter
 
@@ -68,7 +68,11 @@ def render_pictures(order: "Order") -> None:
 
 
 def sum_up(order: "Order", manifest: Manifest) -> None:
-    """Make the table and the contact sheet of an order from what its parts have left in `parts/<part>/`."""
+    """Make the table and the contact sheet of an order from what its parts have left in `parts/<part>/`.
+
+    Parts that failed have left nothing there. Raises UsageError (`render.all_failed`) if all have, and
+    IncompleteError (`render.parts_failed`) after table and sheet if some have.
+    """
     folder = order.run_dir / "summary"
     folder.mkdir(parents=True, exist_ok=True)
     parts = sorted((order.scene_dir / "parts").glob("*"))
@@ -80,10 +84,19 @@ def sum_up(order: "Order", manifest: Manifest) -> None:
     for each in order.render.failures:
         failure = Failure(path=each.path, code=each.code, message=each.message)
         results.append(Result(path=failure.path, state="failed", failure=failure))
+    _require_any(results)
     tile_of = tiles.Tiles(path for part in parts for path in part.glob(tiles.NAME))
     _summary(order.reporter, folder, results, manifest, tile_of)
     num = len(results)
     order.reporter.progress(Progress(stage=SUMMARY_STAGE, step=num, num_steps=num, fraction=1.0))
+    num_shards = order.render.num_shards
+    num_failed = num_shards - len(parts)
+    if num_failed:
+        raise IncompleteError(
+            "render.parts_failed",
+            f"{num_failed} of {num_shards} parts failed; the table lists why their pictures are missing, "
+            "and a retry of the batch makes them",
+        )
 
 
 def manifest_of(spec: render_pb2.RenderSpec, inputs: Path) -> Manifest:
@@ -96,6 +109,8 @@ def manifest_of(spec: render_pb2.RenderSpec, inputs: Path) -> Manifest:
         spec, preserving_proto_field_name=True, always_print_fields_with_no_presence=True
     )
     document["schema"] = SCHEMA
+    # Relative paths in a manifest are relative to the manifest.
+    inputs = inputs.absolute()
     for asset in document["assets"]:
         asset["bundle"] = str(inputs / "bundles" / asset.pop("bundle_id"))
         asset["material"] = _without_empty(asset.get("material", {}), "albedo", "albedo_gain")
@@ -218,12 +233,9 @@ def _restore(run_dir: Path, folder: Path) -> None:
 def _publish(order: "Order", folder: Path, results: list[Result], manifest: Manifest) -> None:
     """Send every picture, the records, and table and sheets or what they are made of; tell what failed."""
     reporter = order.reporter
-    failures = [result.failure for result in results if result.failure is not None]
-    for failure in failures:
+    for failure in (result.failure for result in results if result.failure is not None):
         reporter.finding(failure.code, failure.message, subject=failure.path, error=True)
-    if failures and len(failures) == len(results):
-        first = failures[0]
-        raise UsageError("render.all_failed", f"no picture could be made: {first.code}: {first.message}")
+    _require_any(results)
     for result in results:
         if result.record is not None:
             for made in result.record.files.values():
@@ -233,6 +245,14 @@ def _publish(order: "Order", folder: Path, results: list[Result], manifest: Mani
         reporter.artifact(tiles.NAME, tiles.write_tiles(folder, results))
     else:
         _summary(reporter, folder, results, manifest)
+
+
+def _require_any(results: list[Result]) -> None:
+    """Raise UsageError (`render.all_failed`) if every picture has failed."""
+    failures = [result.failure for result in results if result.failure is not None]
+    if failures and len(failures) == len(results):
+        first = failures[0]
+        raise UsageError("render.all_failed", f"no picture could be made: {first.code}: {first.message}")
 
 
 def _summary(

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
+from lambent_proto.extras import pip_install
 from numpy import ndarray
 from PIL import Image
 
@@ -116,7 +117,7 @@ def _session(name: str, model: Path) -> Any:
         onnxruntime = import_module("onnxruntime")
     except ImportError as error:
         raise UsageError(
-            "config.segmenter_missing", "rembg is not installed; run pip install 'lambent[rembg]'"
+            "config.segmenter_missing", f"rembg is not installed; run {pip_install('rembg')}"
         ) from error
     known = {each.name(): each for each in sessions.sessions_class}
     if name in _UNFIT or not getattr(known.get(name), "is_local", lambda: True)():

@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from lambent_compute.group_signals import held_back
 from pydantic import TypeAdapter
 
 from lambent_worker.errors import WorkerError
@@ -39,7 +40,10 @@ def solve_apart(
     work.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-P", "-m", "lambent_worker.poses.apart"]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-    with (work / "colmap.log").open("wb") as log, subprocess.Popen(command, stderr=log, **pipes) as child:
+    with (work / "colmap.log").open("wb") as log:
+        # Ctrl-C is for this process: `progress` raises, or KeyboardInterrupt ends the child below.
+        with held_back("SIGINT"):
+            child = subprocess.Popen(command, stderr=log, **pipes)
         try:
             child.stdin.write(json.dumps(order))
             child.stdin.close()
@@ -49,6 +53,8 @@ def solve_apart(
             code = child.wait()
         finally:
             child.kill()
+            child.wait()
+            child.stdout.close()
     if code:
         said = (work / "colmap.log").read_text(errors="replace").strip().splitlines()
         raise WorkerError(

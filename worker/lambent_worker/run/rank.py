@@ -9,6 +9,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from lambent_compute.group_signals import GROUP_SIGNALS, ignore
 from lambent_proto.v1.job_pb2 import Progress
 
 from lambent_worker.errors import Stopped
@@ -20,8 +21,7 @@ def serve(descriptor: int) -> None:
     """Do what the process that started this one says over a socket, and end when it does."""
     end_with_parent(signal.SIGKILL)
     # Whatever the whole group is told: the run decides when ranks end, and after which checkpoint.
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+    ignore(*GROUP_SIGNALS)
     prepare()
     starter = _Starter(Connection(descriptor))
     order = starter.receive()

@@ -20,6 +20,7 @@ from types import TracebackType
 from typing import Any
 
 from flashcache.errors import ProcessEndedError, RankLostError
+from lambent_compute.group_signals import GROUP_SIGNALS, held_back
 
 from lambent_worker.errors import Stopped, WorkerError
 from lambent_worker.run.context import Clock, TaskContext
@@ -214,13 +215,14 @@ class _Rank:
         ours, theirs = socket.socketpair()
         with theirs:
             program = f"from {PROGRAM} import serve; serve({theirs.fileno()})"
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", program],
-                pass_fds=(theirs.fileno(),),
-                stdin=subprocess.DEVNULL,
-                stdout=2,
-                env=with_parent() | {"OMP_NUM_THREADS": self.threads},
-            )
+            with held_back(*GROUP_SIGNALS):
+                self._process = subprocess.Popen(
+                    [sys.executable, "-P", "-c", program],
+                    pass_fds=(theirs.fileno(),),
+                    stdin=subprocess.DEVNULL,
+                    stdout=2,
+                    env=with_parent() | {"OMP_NUM_THREADS": self.threads},
+                )
         self.connection = Connection(ours.detach())
 
     @property

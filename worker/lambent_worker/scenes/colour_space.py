@@ -13,6 +13,7 @@ from functools import lru_cache
 import imagecodecs
 import numpy as np
 from jaxtyping import Float32, Float64, Shaped, UInt8
+from lambent_relight.environment.primaries import rec709_matrix
 from lambent_relight.images import linear_from_srgb, srgb_from_linear
 from numpy import ndarray
 from PIL import Image, ImageCms
@@ -24,8 +25,6 @@ SAME_LEVELS = 2
 _PROBE_STEPS = 9
 _D65 = (0.3127, 0.3290)
 _REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06)
-_BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
-"""Cone responses in which a white is adapted to another. Source: ICC.1:2022, annex E."""
 _ROWS_AT_ONCE = 256
 
 Curve = Callable[[Float64[ndarray, "*shape"]], Float64[ndarray, "*shape"]]
@@ -128,40 +127,16 @@ def of_chromaticities(corners: tuple[float, ...]) -> ColourSpace:
     return _made("linear", None, corners)
 
 
-def rec709_from(corners: tuple[float, ...]) -> Float64[ndarray, "3 3"]:
-    """Return the matrix from linear colours with these primaries and white to linear Rec. 709.
-
-    `corners` are x and y (CIE 1931) of red, green, blue, white. Another white is adapted to D65 by Bradford's
-    transform. Raises `PictureError` for primaries that span no colours.
-    """
-    try:
-        given, wanted = _xyz_from(corners), _xyz_from((*_REC709, *_D65))
-        adaptation = np.linalg.inv(_BRADFORD) @ np.diag(
-            (_BRADFORD @ wanted.sum(axis=1)) / (_BRADFORD @ given.sum(axis=1))
-        )
-        matrix = np.linalg.inv(wanted) @ adaptation @ _BRADFORD @ given
-    except (np.linalg.LinAlgError, ZeroDivisionError):
-        matrix = np.full((3, 3), np.nan)
-    if not np.isfinite(matrix).all() or np.abs(matrix).max() > 1e3:
-        raise PictureError(
-            "scene.colour_space", "states primaries that span no colours; export it as linear Rec. 709"
-        )
-    return matrix
-
-
-def _xyz_from(corners: tuple[float, ...]) -> Float64[ndarray, "3 3"]:
-    """Return the matrix from linear red, green, blue to CIE XYZ, with a white of Y = 1.
-
-    Source: SMPTE RP 177-1993.
-    """
-    columns = np.array([[x / y, 1.0, (1.0 - x - y) / y] for x, y in np.reshape(corners, (4, 2)).tolist()]).T
-    return columns[:, :3] * np.linalg.solve(columns[:, :3], columns[:, 3])
-
-
 def _made(name: str, curve: Curve | None, corners: tuple[float, ...]) -> ColourSpace:
-    matrix = rec709_from(corners)
-    rows = tuple(tuple(float(value) for value in row) for row in matrix)
-    return ColourSpace(name, curve, None if np.allclose(matrix, np.eye(3), atol=2e-3) else rows)
+    try:
+        matrix = rec709_matrix(corners)
+    except ValueError as error:
+        raise PictureError(
+            "scene.colour_space",
+            f"states primaries that cannot be ({error}); export it as linear Rec. 709",
+        ) from error
+    rows = None if matrix is None else tuple(tuple(float(value) for value in row) for row in matrix)
+    return ColourSpace(name, curve, rows)
 
 
 def _decoded(

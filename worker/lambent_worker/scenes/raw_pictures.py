@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
+from lambent_proto.extras import pip_install
 from numpy import ndarray
 
 from lambent_worker.scenes.picture_error import PictureError, reason_of
@@ -120,8 +121,8 @@ def _library(path: Path) -> Any:
     if not raw_available():
         raise PictureError(
             "scene.raw_not_installed",
-            f"is a camera raw file ({path.suffix}), and rawpy, which reads them, is not installed; run pip "
-            "install 'lambent[raw]', or export the photographs as JPEG",
+            f"is a camera raw file ({path.suffix}), and rawpy, which reads them, is not installed; run "
+            f"{pip_install('raw')}, or export the photographs as JPEG",
         )
     return importlib.import_module("rawpy")
 

@@ -8,6 +8,7 @@ from importlib.metadata import entry_points
 from typing import Annotated, Any
 
 import typer
+from lambent_proto.extras import pip_install
 from typer.core import TyperCommand, TyperGroup
 
 from lambent.cli.table import ENTRIES, Entry
@@ -67,9 +68,8 @@ def missing_extra(name: str, error: ModuleNotFoundError | None = None) -> UsageP
     """Return the error for a command whose packages are not installed."""
     extra = _BY_NAME[name].extra if name in _BY_NAME else ""
     found = f"the package {error.name!r} is not installed" if error else "it is not installed"
-    target = f"'lambent[{extra}]'" if extra else "lambent"
     return UsageProblemError(
-        "cli.missing_extra", f"`lambent {name}` cannot start: {found}", f"pip install {target}"
+        "cli.missing_extra", f"`lambent {name}` cannot start: {found}", pip_install(*filter(None, [extra]))
     )
 
 

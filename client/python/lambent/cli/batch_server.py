@@ -25,6 +25,9 @@ from lambent.manifest_file import Document
 from lambent.models import Artifact, Batch, Event
 from lambent.pictures import contact_sheets
 
+_REPEATS = ("render.parts_failed", "render.all_failed")
+"""Errors of the job that makes the contact sheet, which repeat those of the other jobs."""
+
 
 def batch_on_server(
     manifest: Manifest, document: Document, folder: Path, output: Output, *, url: str, shards: int
@@ -130,7 +133,8 @@ def _failures(client: Client, batch: Batch) -> list[Result]:
             code, _, message = event.message.partition(": ")
             failure = Failure(path=event.name or job_id, code=code, message=message)
             results.append(Result(path=failure.path, state="failed", failure=failure))
-        if job.state != "succeeded" and not found:
+        repeats = job.error is not None and job.error.code in _REPEATS
+        if job.state != "succeeded" and not found and not repeats:
             code, message = (job.error.code, job.error.message) if job.error else (f"job.{job.state}", "")
             failure = Failure(path=f"{job_id}/*", code=code, message=message)
             results.append(Result(path=failure.path, state="failed", failure=failure))

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from lambent_proto.extras import pip_install
 
 from lambent.cli.doctor import missing_packages
 from lambent.cli.output import JsonOption, Output
@@ -37,7 +38,7 @@ def demo(
             raise UsageProblemError(
                 "cli.missing_extra",
                 f"the demo runs a server and a worker; not installed: {', '.join(missing)}",
-                "pip install 'lambent[server,worker]'",
+                pip_install("server", "worker"),
             )
     # The demo talks to its own server, whatever server this shell is set up for.
     for name in ("LAMBENT_URL", "LAMBENT_API_KEY", "LAMBENT_DATA"):

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import typer
 from lambent_compute.threads import available_threads
+from lambent_proto.extras import pip_install
 
 from lambent import ffmpeg
 from lambent.cli.output import JsonOption, Output, UrlOption, format_size
@@ -83,7 +84,7 @@ def check_packages(extra: str) -> Check:
     name = f"[{extra}]"
     if not missing:
         return Check(name, "ok", "installed")
-    advice = f"pip install 'lambent[{extra}]' (needed only {EXTRAS[extra]})"
+    advice = f"{pip_install(extra)} (needed only {EXTRAS[extra]})"
     return Check(name, "warn", f"missing: {', '.join(missing)}", advice)
 
 
@@ -195,7 +196,7 @@ def check_gpu(probe: str = _GPU_PROBE) -> Check:
 def check_ffmpeg(path: str | None) -> Check:
     """Return whether films can be written as MP4 and WebM."""
     if path is None:
-        advice = "pip install 'lambent[film]' for .mp4 and .webm; webp and gif work without"
+        advice = f"{pip_install('film')} for .mp4 and .webm; webp and gif work without"
         return Check("ffmpeg", "warn", "not found", advice)
     return Check("ffmpeg", "ok", path)
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from lambent_proto.extras import pip_install
 from lambent_relight.environment.axes import OURS
 from lambent_relight.environment.layouts import AUTO
 
@@ -166,6 +167,6 @@ def _export_bundle(
         raise UsageProblemError(
             "cli.missing_extra",
             "the export of a bundle needs the worker, which is not installed",
-            "pip install 'lambent[worker]'",
+            pip_install("worker"),
         ) from error
     command(run_dir=source, out=output_folder, mesh=mesh, as_json=as_json, **settings)

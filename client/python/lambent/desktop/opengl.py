@@ -6,6 +6,8 @@ import subprocess
 import sys
 from importlib.util import find_spec
 
+from lambent_proto.extras import pip_install
+
 from lambent.errors import LambentError, UsageProblemError
 
 _TIMEOUT_S = 120.0
@@ -27,7 +29,7 @@ def require_pyvista() -> None:
         raise UsageProblemError(
             "cli.missing_extra",
             "the desktop viewer needs the package 'pyvista'",
-            "pip install 'lambent[viewer]'",
+            pip_install("viewer"),
         )
 
 

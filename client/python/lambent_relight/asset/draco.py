@@ -7,6 +7,7 @@ are. Source: glTF extension KHR_draco_mesh_compression.
 from typing import Any
 
 import numpy as np
+from lambent_proto.extras import pip_install
 from numpy.typing import NDArray
 
 from lambent_relight.asset.glb import packed_glb
@@ -129,6 +130,6 @@ def _library(wanted_by: str) -> Any:
         raise ExportError(
             "export.draco_missing",
             f"{wanted_by} needs the package DracoPy, which is not here",
-            'pip install "lambent[draco]"',
+            pip_install("draco"),
         ) from error
     return DracoPy

@@ -1,7 +1,9 @@
 """A textured mesh as a USDZ file, for programs that read USD and not glTF. Needs the extra [usd].
 
 UsdPreviewSurface. The stage is y up, as ARKit requires; points stay in the world's axes (z up), and the root
-turns them, as the node of the GLB does. USD counts texture rows from the bottom, so v is turned.
+turns them, as the node of the GLB does. It also moves them: programs for augmented reality put the origin of
+the stage on the floor, so the object's lowest point is at y = 0, and its middle at x = z = 0. USD counts
+texture rows from the bottom, so v is turned.
 Source: OpenUSD, UsdPreviewSurface specification 2.6; USDZ file format specification.
 """
 
@@ -10,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lambent_proto.extras import pip_install
 
 from lambent_relight.asset.textured_mesh import TexturedMesh
 from lambent_relight.errors import ExportError
@@ -56,7 +59,7 @@ def _usd() -> Any:
         raise ExportError(
             "export.usd_missing",
             "USDZ files need the package usd-core, which is not here",
-            'pip install "lambent[usd]"',
+            pip_install("usd"),
         ) from error
     return pxr
 
@@ -66,7 +69,10 @@ def _write_stage(usd: Any, path: Path, surface: TexturedMesh) -> None:
     usd.UsdGeom.SetStageUpAxis(stage, usd.UsdGeom.Tokens.y)
     usd.UsdGeom.SetStageMetersPerUnit(stage, METRES_PER_UNIT)
     root = usd.UsdGeom.Xform.Define(stage, "/asset")
-    # A quarter turn about x brings +z to +y.
+    corners = np.stack([surface.vertices.min(axis=0), surface.vertices.max(axis=0)])
+    middle = corners.astype(np.float64).mean(axis=0)
+    # The last operation is applied first: a quarter turn about x brings +z to +y and +y to -z.
+    root.AddTranslateOp().Set((-middle[0], -float(corners[0, 2]), middle[1]))
     root.AddRotateXOp().Set(-90.0)
     stage.SetDefaultPrim(root.GetPrim())
     mesh = usd.UsdGeom.Mesh.Define(stage, "/asset/mesh")
@@ -80,7 +86,6 @@ def _write_stage(usd: Any, path: Path, surface: TexturedMesh) -> None:
     mesh.SetNormalsInterpolation(usd.UsdGeom.Tokens.vertex)
     mesh.CreateSubdivisionSchemeAttr(usd.UsdGeom.Tokens.none)
     mesh.CreateDoubleSidedAttr(True)
-    corners = np.stack([surface.vertices.min(axis=0), surface.vertices.max(axis=0)])
     mesh.CreateExtentAttr(vec3(corners.astype(np.float32)))
     places = surface.uv * np.array([1.0, -1.0], np.float32) + np.array([0.0, 1.0], np.float32)
     primvar = usd.UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(

@@ -17,6 +17,7 @@ from lambent_relight.baked.transport import shadow_directions
 from lambent_relight.baked.view import BakedView, look_at_surface
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import NoCaches, SurfaceCaches
+from lambent_relight.camera_matrices import camera_attributes
 from lambent_relight.cameras import Camera
 from lambent_relight.directions import normalise
 from lambent_relight.edits import MaterialEdit
@@ -221,7 +222,7 @@ def _still(view: BakedView, lobes: Lobes) -> RelitPicture:
         indirect=black,
         diffuse=black,
         specular=black,
-        visibility=view.image(view.openness),
+        visibility=np.clip(view.image(view.openness), 0.0, 1.0),
         albedo=view.image(lobes.albedo),
         normal=normalise(view.image(view.normal)),
         perceptual_roughness=view.image(lobes.perceptual_roughness),
@@ -230,6 +231,7 @@ def _still(view: BakedView, lobes: Lobes) -> RelitPicture:
         depth=view.camera.depth_along_axis(distance),
         coverage=coverage,
         num_samples=0,
+        camera_attributes=camera_attributes(view.camera),
     )
     for name in (
         "opacity",

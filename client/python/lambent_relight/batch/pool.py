@@ -2,7 +2,6 @@
 
 import contextlib
 import multiprocessing
-import signal
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
@@ -12,6 +11,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
+from lambent_compute.group_signals import held_back, ignore
 from lambent_compute.threads import available_threads
 
 from lambent_relight.batch.journal import Record
@@ -125,7 +125,9 @@ class _Worker:
         self.pipe, theirs = context.Pipe()
         arguments = (theirs, self.folder, self.files, self.num_threads, self.kept_rays)
         self.process = context.Process(target=_serve, args=arguments, daemon=True)
-        self.process.start()
+        # Until the process has come to `_serve`.
+        with held_back("SIGINT"):
+            self.process.start()
         theirs.close()
 
     def give(self, task: Task | None) -> None:
@@ -165,7 +167,7 @@ class _Worker:
 
 def _serve(pipe: Connection, folder: Path, files: Files, num_threads: int, kept_rays: int) -> None:
     # Ctrl-C reaches every process of a terminal; the first one decides what to do about it.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ignore("SIGINT")
     studio = Studio(folder, files, num_threads=num_threads, kept_rays=kept_rays)
     with contextlib.suppress(EOFError, BrokenPipeError):
         while (task := pipe.recv()) is not None:

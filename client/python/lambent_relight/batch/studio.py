@@ -14,6 +14,7 @@ from lambent_relight.batch.journal import MadeFile, Record
 from lambent_relight.batch.manifest import LINEAR, Files, place
 from lambent_relight.batch.plan import Row, bundle_digest, light_digest
 from lambent_relight.bundle.bundle import load_bundle
+from lambent_relight.camera_matrices import camera_attributes
 from lambent_relight.environment.input import OpenedEnvironment, open_environment
 from lambent_relight.environment.maps import Environment
 from lambent_relight.errors import BundleError, EnvironmentFileError
@@ -132,6 +133,7 @@ class Studio:
                 **{**passes, **planes, "opacity": planes["coverage"]},
                 num_samples=int(kept["num_samples"]),
                 bounces=str(kept["bounces"]),
+                camera_attributes=camera_attributes(row.camera),
             )
             return picture, tuple(str(note) for note in kept["notes"])
 

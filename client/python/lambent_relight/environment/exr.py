@@ -7,6 +7,7 @@ for gigabytes, and the library decodes all parts or none. Source: docs/reference
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -168,7 +169,7 @@ def write_exr(
     *,
     half: bool = True,
     full_precision: Collection[str] = (),
-    attributes: Mapping[str, str] | None = None,
+    attributes: Mapping[str, Any] | None = None,
 ) -> None:
     """Write named channels [height, width] of one size as a scan-line EXR, ZIP compressed.
 

@@ -18,7 +18,10 @@ export interface components {
             name: string;
             /** Sha256 */
             sha256: string;
-            /** Size Bytes */
+            /**
+             * Size Bytes
+             * Format: int64
+             */
             size_bytes: number;
             /** Url */
             url: string;
@@ -114,7 +117,10 @@ export interface components {
             name: string;
             /** Sha256 */
             sha256: string;
-            /** Size Bytes */
+            /**
+             * Size Bytes
+             * Format: int64
+             */
             size_bytes: number;
             /** Url */
             url: string;
@@ -160,7 +166,10 @@ export interface components {
             scene_id: string;
             /** Scene Name */
             scene_name: string;
-            /** Size Bytes */
+            /**
+             * Size Bytes
+             * Format: int64
+             */
             size_bytes: number;
             /** Thumbnail Url */
             thumbnail_url: string | null;
@@ -198,7 +207,10 @@ export interface components {
             scene_id: string;
             /** Scene Name */
             scene_name: string;
-            /** Size Bytes */
+            /**
+             * Size Bytes
+             * Format: int64
+             */
             size_bytes: number;
             /** Thumbnail Url */
             thumbnail_url: string | null;
@@ -214,7 +226,10 @@ export interface components {
             path: string;
             /** Sha256 */
             sha256: string;
-            /** Size Bytes */
+            /**
+             * Size Bytes
+             * Format: int64
+             */
             size_bytes: number;
             /** Url */
             url: string;
@@ -397,7 +412,10 @@ export interface components {
             name: string;
             /** Sha256 */
             sha256: string;
-            /** Size Bytes */
+            /**
+             * Size Bytes
+             * Format: int64
+             */
             size_bytes: number;
             /** Url */
             url: string;
@@ -481,7 +499,10 @@ export interface components {
             parts: components["schemas"]["UploadPart"][];
             /** Sha256 */
             sha256: string;
-            /** Size Bytes */
+            /**
+             * Size Bytes
+             * Format: int64
+             */
             size_bytes: number;
         };
         /**
@@ -1388,7 +1409,10 @@ export interface components {
             name: string;
             /** Num Files */
             num_files: number;
-            /** Size Bytes */
+            /**
+             * Size Bytes
+             * Format: int64
+             */
             size_bytes: number;
             /**
              * State
@@ -1539,9 +1563,15 @@ export interface components {
             };
             /** Number */
             number: number;
-            /** Offset */
+            /**
+             * Offset
+             * Format: int64
+             */
             offset: number;
-            /** Size Bytes */
+            /**
+             * Size Bytes
+             * Format: int64
+             */
             size_bytes: number;
             /** Url */
             url: string;

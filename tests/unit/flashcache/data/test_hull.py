@@ -134,3 +134,15 @@ def test_where_masks_agree_one_view_past_the_object_is_enough():
     hulls = [hull_of(one, CONFIG) for one in (with_side, replace(with_side, train=with_side.train[:-1]))]
     thick, thicker = (hull[16, 16].sum() for hull in hulls if hull is not None)
     assert 1 <= thick < 0.7 * thicker
+
+
+def test_masks_may_be_wrong_by_the_margin_and_no_more():
+    """Each pixel of margin lets the hull of a ball grow by a pixel's width at the ball."""
+    scene = lit_sphere(num_views=16, side=64)
+    volumes = [int(hull_of(scene, replace(CONFIG, margin_px=margin)).sum()) for margin in (0.0, 2.0, 6.0)]
+    camera = scene.train[0].camera
+    pixel = np.linalg.norm(camera.position) / camera.focal_x
+    edge = [(3.0 * volume / (4.0 * np.pi)) ** (1.0 / 3.0) for volume in volumes]
+    cell = (scene.bounds_max[0] - scene.bounds_min[0]) / 32
+    assert (edge[1] - edge[0]) * cell > 0.5 * 2.0 * pixel
+    assert (edge[2] - edge[0]) * cell > 0.5 * 6.0 * pixel

@@ -133,6 +133,14 @@ def test_signals_to_the_whole_group_do_not_end_them(three):
         assert three.ask([(1,), (int(number),), (int(number),)], operator.neg) == [-1, None, None]
 
 
+def test_signals_that_come_while_they_load_their_libraries_do_not_end_them():
+    with Processes(2) as two:
+        (other,) = two._others
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            other._process.send_signal(number)
+        assert asked(two, operator.neg, [(1,), (2,)]) == [-1, -2]
+
+
 def test_closing_ends_them():
     with Processes(2) as two:
         number = asked(two, os.getpid, [(), ()])[1]

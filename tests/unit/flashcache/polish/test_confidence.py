@@ -154,6 +154,32 @@ def test_black_and_clipped_things_keep_the_priors_widths(glossy):
         torch.testing.assert_close(metal, torch.full_like(metal, PRIORS.metalness))
 
 
+def test_what_says_nothing_of_gloss_and_metal_keeps_the_width_of_each(glossy):
+    """The two widths differ here, so that neither can be told as the other."""
+    priors = Priors(metalness=0.1, perceptual_roughness=0.5)
+    unseen = glossy.of(torch.zeros(len(glossy.element), dtype=torch.bool))
+    found = confidence_of(
+        unseen,
+        open_tables(len(unseen)),
+        sky_picture(),
+        alone(unseen, CLAY, 0.16, 0.0),
+        Neighbours.of(unseen),
+        priors,
+    )
+    torch.testing.assert_close(found.metalness, torch.full_like(found.metalness, 0.1))
+    torch.testing.assert_close(found.perceptual_roughness, torch.full_like(found.metalness, 0.5))
+
+
+def test_as_many_observations_as_fitted_numbers_say_nothing_of_the_noise():
+    """One photograph of each element: its three channels may have been met exactly."""
+    once = noisy(sphere_elements(CLAY, 0.16, 0.0, count=160, views=16), 0.01)
+    once = once.of(once.photograph == once.photograph.mode().values)
+    rows = torch.bincount(once.element, minlength=len(once))
+    assert int(rows.max()) == 1
+    albedo, _, _ = parts(measured(once, CLAY, 0.16, 0.0))
+    assert float(albedo[rows > 0].median()) > 0.9 * PRIORS.log_albedo
+
+
 def some_confidence() -> Confidence:
     places = torch.tensor([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [5.0, 0.0, 0.0]])
     values = torch.tensor([0.1, 0.2, 0.3])

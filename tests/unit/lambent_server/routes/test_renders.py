@@ -260,8 +260,13 @@ def test_what_runs_report_is_in_the_batch(stage: Stage, tmp_path: Path):
     stage.call("Fail", second, cause=worker_pb2.FAIL_CAUSE_BAD_CONFIG, code="render.all_failed", message="no")
     assert show()["state"] == "running", "the table and the sheet are still to be made"
     stage.end(0)
-    stage.call("Publish", last)
-    assert show()["state"] == "failed"
+    table = {"path": "pictures.csv", "sha256": stage.put(last, b"table"), "size_bytes": 5}
+    cause = worker_pb2.FAIL_CAUSE_BAD_CONFIG
+    failed = {"cause": cause, "code": "render.parts_failed", "message": "1 of 2", "artifacts": [table]}
+    stage.call("Fail", last, **failed)
+    assert show()["state"] == stage.job(last)["state"] == "failed"
+    listed = expect(stage.api.get(f"/v1/batches/{batch['id']}/artifacts"), 200)["items"]
+    assert [each["name"] for each in listed] == ["pictures.csv", "red/x.png"], "what was made can be had"
     again = expect(stage.api.post(f"/v1/batches/{batch['id']}:retry"), 202)
     assert again["job_ids"][0] == first
     assert again["job_ids"][1] != second

@@ -197,3 +197,18 @@ def test_each_photograph_is_opened_twice_and_one_at_a_time(views):
     assert opened == [len(views)] * 2
     # After the k-th photograph no later one has been read.
     assert calls == [(k + 1,) for k in range(8)] + [(8, k + 1) for k in range(8)]
+
+
+def test_a_photograph_that_is_darker_than_its_reflections_is_not_printed_black(fine):
+    """Light that was found too bright would leave less than nothing for albedo."""
+    glossy = open_scene(BOX, 0.3 * MODEL, roughness=0.5)
+
+    def dark(positions):
+        return 0.3 * stripes(positions)
+
+    shown = [photograph(BOX, glossy, camera, dark, sky()) for camera in around(8, 200)]
+    for view in shown:
+        view.images["sky"][..., :3] *= 0.3
+    texture, _ = made(shown, glossy)
+    found = texture.reshape(-1, 3)[fine.index]
+    assert (found > 0.02 * 0.3 * MODEL[0]).all(axis=1).mean() > 0.99

@@ -72,6 +72,15 @@ def test_only_what_is_opaque_and_not_clipped_is_seen():
     assert not photograph(picture()).see(points, -normals, MESH).visible.any()
 
 
+@pytest.mark.parametrize("channel", range(3))
+def test_a_pixel_that_is_clipped_in_one_channel_is_not_seen(channel):
+    """Its colour is wrong, whichever channel it was."""
+    points, normals = facing()
+    flags = np.zeros((SIDE, SIDE, 3), bool)
+    flags[..., channel] = True
+    assert not photograph(picture(), day=flags).see(points, normals, MESH).visible.any()
+
+
 def test_resolution_is_pixels_for_a_scene_unit():
     points, normals = facing()
     found = photograph(picture()).see(points, normals, MESH)

@@ -3,6 +3,7 @@
 import io
 import sys
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -36,8 +37,22 @@ def test_axes_and_unit_are_stated(stage):
     assert np.allclose(bounds.ComputeAlignedRange().GetSize(), SIZES[[0, 2, 1]])
     turn = UsdGeom.XformCache().GetLocalToWorldTransform(stage.GetPrimAtPath("/asset/mesh"))
     # Row vectors: our +z becomes +y, and our +y becomes -z, as in the GLB.
-    assert np.allclose(np.array([0.0, 0.0, 1.0, 1.0]) @ np.array(turn), [0.0, 1.0, 0.0, 1.0], atol=1e-6)
-    assert np.allclose(np.array([0.0, 1.0, 0.0, 1.0]) @ np.array(turn), [0.0, 0.0, -1.0, 1.0], atol=1e-6)
+    assert np.allclose(np.array([0.0, 0.0, 1.0, 0.0]) @ np.array(turn), [0.0, 1.0, 0.0, 0.0], atol=1e-6)
+    assert np.allclose(np.array([0.0, 1.0, 0.0, 0.0]) @ np.array(turn), [0.0, 0.0, -1.0, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (3.0, -2.0, 0.5), (-1.0, 7.0, -40.0)])
+def test_the_object_stands_on_the_floor_at_the_origin_wherever_it_was_captured(tmp_path, offset):
+    """A program for augmented reality puts the origin where the user taps on the floor."""
+    usd, geometry = pytest.importorskip("pxr.Usd"), pytest.importorskip("pxr.UsdGeom")
+    moved = replace(BOX, vertices=BOX.vertices + np.array(offset, np.float32))
+    write_usdz(tmp_path / "asset.usdz", moved, coloured(BOX))
+    stage = usd.Stage.Open(str(tmp_path / "asset.usdz"))
+    bounds = geometry.BBoxCache(0.0, ["default"]).ComputeWorldBound(stage.GetDefaultPrim())
+    found = bounds.ComputeAlignedRange()
+    width, depth, height = SIZES
+    assert np.allclose(found.GetMin(), [-width / 2.0, 0.0, -depth / 2.0], atol=1e-5)
+    assert np.allclose(found.GetMax(), [width / 2.0, height, depth / 2.0], atol=1e-5)
 
 
 def test_the_mesh_and_its_texture_coordinates_survive_with_v_upwards(stage):

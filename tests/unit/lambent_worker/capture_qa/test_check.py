@@ -5,8 +5,11 @@ import io
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
+import threading
+import time
 import zlib
 from pathlib import Path
 
@@ -130,6 +133,27 @@ def test_a_file_that_kills_the_child_is_named_and_the_rest_is_still_checked(tmp_
     found = {finding.code: finding.subject for finding in report.findings}
     assert found["scene.image_too_large"] == killer
     assert found["scene.image_not_a_picture"] == "train_001/rgba_sunset.png"
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_ctrl_c_is_no_fault_of_the_file_that_is_being_read(tmp_path, monkeypatch, name):
+    """It reaches the child too; the command that runs the check decides what happens."""
+    folder = write_tensoir(tmp_path)
+    act = f"import signal; signal.raise_signal(signal.{name})"
+    monkeypatch.setattr(check, "COMMAND", at("train_002/rgba_sunset.png", act))
+    report = check.check_capture(folder).report
+    assert report.usable
+    assert not [finding for finding in report.findings if finding.subject == "train_002/rgba_sunset.png"]
+
+
+def test_a_command_that_is_interrupted_ends_its_check_at_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(check, "COMMAND", [sys.executable, "-c", "import time; time.sleep(60)"])
+    began = time.monotonic()
+    timer = threading.Timer(0.3, signal.pthread_kill, (threading.get_ident(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        check.check_capture(write_tensoir(tmp_path))
+    assert time.monotonic() - began < 4.0
 
 
 def test_a_file_that_kills_the_child_is_left_out_where_others_make_up_for_it(tmp_path, monkeypatch):

@@ -12,7 +12,7 @@ from lambent_proto.v1 import job_pb2, scene_pb2, worker_pb2
 from lambent_server.worker_service import serve_workers
 from lambent_worker.capture_qa import check
 from lambent_worker.capture_qa.check_result import CaptureCheck
-from lambent_worker.errors import SceneRefusedError, UsageError
+from lambent_worker.errors import IncompleteError, SceneRefusedError, UsageError
 from lambent_worker.files import file_sha256
 from lambent_worker.job import process
 from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError
@@ -283,3 +283,26 @@ def test_a_job_looks_at_a_capture_once_in_one_way_and_tells_every_finding_once(
     told = [(call["code"], call["subject"]) for call in reporter.named("finding")]
     assert told == [("scene.image_duplicate", "train_001/rgba_sunset.png")]
     assert read_run(connection.identity.work_dir)[0].layout == params.get("layout", "")
+
+
+@pytest.mark.parametrize(("error", "published"), [(IncompleteError, ["table"]), (UsageError, [])])
+def test_what_a_failed_run_made_nevertheless_is_published(
+    stage: Stage, tmp_path: Path, error: type[UsageError], published: list[str]
+):
+    job = stage.start(scene_id=stage.api.scene({"a.json": b"{}"}))
+    (tmp_path / "table").write_bytes(b"lines")
+    connection = connect(stage, job)
+    reporter = ServerReporter(connection, connection.identity.work_dir)
+
+    def fail(order: Order) -> None:
+        order.reporter.artifact("table", tmp_path / "table")
+        raise error("render.parts_failed", "one is missing")
+
+    def usable(folder: Path) -> CaptureCheck:
+        return CaptureCheck(report=scene_pb2.SceneReport(usable=True))
+
+    process._work(connection, reporter, stage.call("Start", job), fail, usable)
+    connection.close()
+    assert stage.job(job)["state"] == "failed"
+    listed = stage.api.get(f"/v1/jobs/{job}/artifacts").json()["items"]
+    assert [each["name"] for each in listed] == published

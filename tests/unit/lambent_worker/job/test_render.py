@@ -11,7 +11,7 @@ from lambent_proto.v1 import job_pb2, render_pb2, worker_pb2
 from lambent_relight import cameras_json, turntable, write_environment
 from lambent_relight.batch.manifest import DEFAULT_PATH, Cameras, Files, Quality
 from lambent_relight.batch.plan import make_plan
-from lambent_worker.errors import Stopped, UsageError
+from lambent_worker.errors import IncompleteError, Stopped, UsageError
 from lambent_worker.job import render as render_job
 from lambent_worker.job.order import Order
 from PIL import Image
@@ -156,7 +156,8 @@ def test_what_sums_up_the_parts_makes_the_table_and_sheet_of_one_run(inputs, tmp
     whole = RecordingReporter()
     last = order_of(tmp_path / "last", tmp_path / "run", whole, order, 2, 2)
     last.render.failures.extend(failures)
-    render_job.render_pictures(last)
+    with pytest.raises(IncompleteError, match=r"render\.parts_failed: 1 of 2 parts"):
+        render_job.render_pictures(last)
     one, several = artifacts(alone), artifacts(whole)
     assert set(several) == {"contact_sheet.png", "pictures.csv"}
     assert several["contact_sheet.png"].read_bytes() == one["contact_sheet.png"].read_bytes()
@@ -193,6 +194,25 @@ def test_an_order_of_which_nothing_can_be_made_fails(inputs, tmp_path):
     (inputs / "environments" / "env_1.exr").write_bytes(b"no picture")
     with pytest.raises(UsageError, match=r"render\.all_failed"):
         render_job.render_pictures(order_of(inputs, tmp_path / "run", RecordingReporter()))
+
+
+def test_what_sums_up_parts_that_have_all_failed_fails_as_they_did(inputs, tmp_path):
+    reporter = RecordingReporter()
+    last = order_of(inputs, tmp_path / "run", reporter, spec(), 2, 2)
+    for shard in range(2):
+        last.render.failures.add(path=f"job_{shard}/*", code="environment.x", message="broken")
+    with pytest.raises(UsageError, match=r"render\.all_failed: .*environment\.x: broken"):
+        render_job.render_pictures(last)
+    assert not artifacts(reporter), "a table and a sheet of nothing are not made"
+
+
+def test_inputs_in_a_relative_folder_are_found(inputs, tmp_path, monkeypatch):
+    """A path in a manifest would be relative to the inputs themselves."""
+    monkeypatch.chdir(tmp_path)
+    reporter = RecordingReporter()
+    render_job.render_pictures(order_of(Path("inputs"), Path("run"), reporter))
+    assert "ball/sky/quick/turntable_000.png" in artifacts(reporter)
+    assert not reporter.named("finding")
 
 
 def test_an_order_that_no_manifest_may_hold_fails(inputs, tmp_path):
