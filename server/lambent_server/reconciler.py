@@ -2,6 +2,7 @@
 
 import shutil
 import threading
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ from sqlalchemy import Select, and_, exists, update
 from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server import claims, retention
-from lambent_server.clock import now
+from lambent_server.clock import now, skipped_s
 from lambent_server.database.schema import (
     api_keys,
     blobs,
@@ -25,6 +26,7 @@ from lambent_server.direct import FOLDER
 from lambent_server.garbage import discard
 from lambent_server.housekeeping import REFERENCES
 from lambent_server.services import Services
+from lambent_server.settings import Settings
 from lambent_server.store import GZIP, LOST
 
 log = structlog.get_logger()
@@ -61,13 +63,13 @@ class Reconciler:
         self._thread.join(timeout=1)
 
     def _loop(self) -> None:
-        looked_at = 0.0
+        looked_at = float("-inf")
         while True:
             stopping = self._stopping.is_set()
             try:
                 note_key_uses(self._services)
-                if not stopping and now() - looked_at >= self._services.settings.reconcile_s:
-                    looked_at = now()
+                if not stopping and time.monotonic() - looked_at >= self._services.settings.reconcile_s:
+                    looked_at = time.monotonic()
                     self._services.database.analyze()
                     if self._leads():
                         retention.enforce(self._services)
@@ -75,7 +77,7 @@ class Reconciler:
                     else:
                         self.num_missing = 0
                         retention.enforce(self._services, only_logs=True)
-                        remove_folders(self._services, now() - self._services.settings.orphan_after_s)
+                        remove_folders(self._services, old_before(self._services.settings))
             except (SQLAlchemyError, OSError):
                 # The database or the disk is unavailable; the next round finds the same.
                 log.exception("reconcile_failed")
@@ -122,6 +124,15 @@ class Findings:
         return len(self.unknown) + len(self.unreferenced) + len(self.staged) + len(self.parts)
 
 
+def old_before(settings: Settings) -> float:
+    """Return the time (Unix seconds) before which what nothing refers to is no upload in progress.
+
+    Files have the time of the machine or store that they are on, which is earlier where a clock was set back
+    and this server's time runs on.
+    """
+    return min(now(), time.time()) - settings.orphan_after_s - skipped_s(settings.orphan_after_s)
+
+
 def reconcile(services: Services) -> int:
     """Remove what is left over; return the number of blobs whose bytes are missing or truncated.
 
@@ -133,9 +144,9 @@ def reconcile(services: Services) -> int:
         log.error("reconcile_refused", blobs_unknown=len(found.unknown), blobs=found.num_blobs)
     else:
         repair(services, found)
-        _reconcile_copies(services, now() - services.settings.orphan_after_s)
+        _reconcile_copies(services, old_before(services.settings))
         _compress_again(services, set(found.lost))
-        remove_folders(services, now() - services.settings.orphan_after_s)
+        remove_folders(services, old_before(services.settings))
     if found.num_orphans or found.lost:
         log.warning(
             "reconciled",
@@ -153,7 +164,7 @@ def examine(services: Services) -> Findings:
 
     Anything younger than `orphan_after_s` may be an upload in progress and is left out.
     """
-    before = now() - services.settings.orphan_after_s
+    before = old_before(services.settings)
     found = Findings()
     for prefix in _PREFIXES:
         # Rows first: bytes that come meanwhile have a row that is not known here, and are young.
@@ -173,7 +184,7 @@ def examine(services: Services) -> Findings:
 
 def repair(services: Services, found: Findings) -> None:
     """Remove what is left over, unless it is needed by now."""
-    before = now() - services.settings.orphan_after_s
+    before = old_before(services.settings)
     for sha256 in found.unknown:
         remove_orphan(services, sha256, before)
     with services.database.write() as connection:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from anyio import CapacityLimiter
 
 from lambent_server.database.engine import Database
+from lambent_server.database.latest_time import begin_time
 from lambent_server.problems import Problem
 from lambent_server.provenance import Signer, open_signer
 from lambent_server.s3 import S3Options
@@ -75,6 +76,7 @@ def open_services(settings: Settings) -> Services:
         shutil.rmtree(path) if path.is_dir() else path.unlink()
     database = open_database(settings)
     database.migrate()
+    begin_time(database)
     capacity = Capacity.of_machine(settings, count_gpus())
     decoders = CapacityLimiter(settings.max_decoders)
     signer = open_signer(database, settings)
@@ -84,7 +86,9 @@ def open_services(settings: Settings) -> Services:
 def join_services(settings: Settings) -> Services:
     """Return the parts for a command that may run beside a server; nothing is created or migrated."""
     capacity = Capacity.of_machine(settings, 0)
-    return Services(settings, open_database(settings), _open_store(settings), Wakeups(), capacity)
+    database = open_database(settings)
+    begin_time(database)
+    return Services(settings, database, _open_store(settings), Wakeups(), capacity)
 
 
 def open_database(settings: Settings) -> Database:
