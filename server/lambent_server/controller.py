@@ -42,6 +42,7 @@ from lambent_server.job_rows import (
 )
 from lambent_server.membership import Membership, full_handle
 from lambent_server.metrics import RUNS_STARTED
+from lambent_server.outages import report
 from lambent_server.outcomes import Failure, fail, is_due, judge, wait_for_room
 from lambent_server.queue_order import QueueOrder
 from lambent_server.run_clocks import RunClocks
@@ -107,8 +108,8 @@ class Controller:
         if stop_runs and self._members.controls:
             try:
                 self._stop_runs()
-            except (SQLAlchemyError, OSError):
-                log.exception("runs_not_stopped")
+            except (SQLAlchemyError, OSError) as error:
+                report("runs_not_stopped", error)
         self._stopping.set()
         self._wake.set()
         if self._thread.is_alive():
@@ -129,9 +130,9 @@ class Controller:
     def _try_to_turn(self) -> bool:
         try:
             self.turn()
-        except (SQLAlchemyError, OSError):
+        except (SQLAlchemyError, OSError) as error:
             # The database or the disk is unavailable; the rows say what to do once it is back.
-            log.exception("controller_turn_failed")
+            report("controller_turn_failed", error)
             return False
         return True
 

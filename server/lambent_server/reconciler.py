@@ -25,6 +25,7 @@ from lambent_server.database.tenancy import Tenant, across_tenants
 from lambent_server.direct import FOLDER
 from lambent_server.garbage import discard
 from lambent_server.housekeeping import REFERENCES
+from lambent_server.outages import report
 from lambent_server.services import Services
 from lambent_server.settings import Settings
 from lambent_server.store import GZIP, LOST
@@ -78,9 +79,9 @@ class Reconciler:
                         self.num_missing = 0
                         retention.enforce(self._services, only_logs=True)
                         remove_folders(self._services, old_before(self._services.settings))
-            except (SQLAlchemyError, OSError):
+            except (SQLAlchemyError, OSError) as error:
                 # The database or the disk is unavailable; the next round finds the same.
-                log.exception("reconcile_failed")
+                report("reconcile_failed", error)
             if stopping:
                 return
             self._stopping.wait(TICK_S)

@@ -1,8 +1,11 @@
 """Blobs named by their SHA-256, in a local folder or any store that obstore supports."""
 
 import contextlib
+import errno
 import hashlib
 import os
+import secrets
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
@@ -11,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import obstore
-from obstore.exceptions import BaseError, NotFoundError
+from obstore.exceptions import BaseError, NotFoundError, PermissionDeniedError
 from obstore.store import LocalStore, from_url
 from sqlalchemy import Connection
 
@@ -40,6 +43,8 @@ class Admission(Protocol):
         """Look in the transaction that has added the blob."""
 
 
+PROBES = "uploads/probe"
+PROBE_BYTES = 4096
 BLOBS = "blobs"
 GZIP = "gzip"
 """Folders of the store: blobs, and compressed copies of some of them under the blob's name."""
@@ -85,6 +90,20 @@ class BlobStore:
         )
         # Folder of a local store; other stores ensure the durability of their bytes themselves.
         self._folder = Path(self._store.prefix or "/") if isinstance(self._store, LocalStore) else None
+
+    def probe(self) -> str:
+        """Return "ok" if the store takes a few bytes; "full", "read-only" or "unavailable" if it does not."""
+        if self._folder is not None:
+            return probe_folder(self._folder)
+        name = f"{PROBES}/{secrets.token_hex(8)}"
+        try:
+            obstore.put(self._deleter, name, b"probe")
+            obstore.delete(self._deleter, name)
+        except PermissionDeniedError:
+            return "read-only"
+        except BaseError:
+            return "unavailable"
+        return "ok"
 
     @staticmethod
     def key(sha256: str, folder: str = BLOBS) -> str:
@@ -280,6 +299,20 @@ def damaged(sha256: str) -> Problem:
         "again, or rerun the job that produced it",
         headers={"cache-control": "no-store"},
     )
+
+
+def probe_folder(folder: Path) -> str:
+    """Return "ok" if a file can be written in a folder; "full", "read-only" or "unwritable" if it cannot."""
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(PROBE_BYTES))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return "full"
+        return "read-only" if error.errno == errno.EROFS else "unwritable"
+    return "ok"
 
 
 def _sync(path: Path) -> None:

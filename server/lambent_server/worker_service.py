@@ -20,8 +20,8 @@ from lambent_server.clock import now
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.executors import is_placed, run_name
-from lambent_server.http.middleware import away
 from lambent_server.job_rows import CANCELLING, ENDED, HAS_RUN, SUCCEEDED, Job, owner, set_fields
+from lambent_server.outages import away
 from lambent_server.outcomes import requeue, succeed
 from lambent_server.problems import Problem
 from lambent_server.secrets import is_token_of
