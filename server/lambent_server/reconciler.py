@@ -111,6 +111,8 @@ class Findings:
     """Tenants and hashes of rows that nothing refers to: files of uploads and runs that were broken off."""
     staged: list[str] = field(default_factory=list)
     """Names of files that were sent to the store directly and never taken over."""
+    damaged: list[str] = field(default_factory=list)
+    """Hashes of bytes that are whole and do not match them; found only where contents are read."""
     parts: list[tuple[str, str]] = field(default_factory=list)
     """Names and ids of uploads in parts that were never completed."""
 
@@ -160,8 +162,8 @@ def reconcile(services: Services) -> int:
     return len(found.lost)
 
 
-def examine(services: Services) -> Findings:
-    """Return how database and store differ, and change nothing.
+def examine(services: Services, *, contents: bool = False) -> Findings:
+    """Return how database and store differ, and change nothing; with `contents` all bytes are read.
 
     Anything younger than `orphan_after_s` may be an upload in progress and is left out.
     """
@@ -171,7 +173,11 @@ def examine(services: Services) -> Findings:
         # Rows first: bytes that come meanwhile have a row that is not known here, and are young.
         rows, files = _sizes(services, prefix), services.store.listed(prefix)
         found.num_blobs += len(files)
-        found.lost += [sha256 for sha256, size in rows.items() if files.get(sha256, (-1, 0.0))[0] != size]
+        lost = {sha256 for sha256, size in rows.items() if files.get(sha256, (-1, 0.0))[0] != size}
+        found.lost += sorted(lost)
+        if contents:
+            matches = services.store.checks.matches
+            found.damaged += [sha256 for sha256 in sorted(set(rows) - lost) if not matches(sha256)]
         for sha256, (size, at) in files.items():
             if sha256 not in rows and at < before:
                 found.unknown[sha256] = size

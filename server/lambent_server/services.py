@@ -80,7 +80,9 @@ def open_services(settings: Settings) -> Services:
     capacity = Capacity.of_machine(settings, count_gpus())
     decoders = CapacityLimiter(settings.max_decoders)
     signer = open_signer(database, settings)
-    return Services(settings, database, _open_store(settings), Wakeups(), capacity, decoders, signer)
+    return Services(
+        settings, database, _open_store(settings, database), Wakeups(), capacity, decoders, signer
+    )
 
 
 def join_services(settings: Settings) -> Services:
@@ -88,7 +90,7 @@ def join_services(settings: Settings) -> Services:
     capacity = Capacity.of_machine(settings, 0)
     database = open_database(settings)
     begin_time(database)
-    return Services(settings, database, _open_store(settings), Wakeups(), capacity)
+    return Services(settings, database, _open_store(settings, database), Wakeups(), capacity)
 
 
 def open_database(settings: Settings) -> Database:
@@ -96,8 +98,10 @@ def open_database(settings: Settings) -> Database:
     return Database(settings.database_url, pooled=settings.database_direct is not None)
 
 
-def _open_store(settings: Settings) -> BlobStore:
-    return BlobStore(settings.data / "store", settings.store, s3_options(settings))
+def _open_store(settings: Settings, database: Database) -> BlobStore:
+    store = BlobStore(settings.data / "store", settings.store, s3_options(settings))
+    store.checks.write = database.write
+    return store
 
 
 def s3_options(settings: Settings) -> S3Options | None:

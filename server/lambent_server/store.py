@@ -6,31 +6,38 @@ import hashlib
 import os
 import secrets
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import obstore
-from obstore.exceptions import BaseError, NotFoundError, PermissionDeniedError
+from obstore.exceptions import BaseError, PermissionDeniedError
 from obstore.store import LocalStore, from_url
 from sqlalchemy import Connection
 
 from lambent_server import claims
 from lambent_server.clock import now
+from lambent_server.content_checks import (
+    BLOBS,
+    GZIP,
+    ContentChecks,
+    Version,
+    Write,
+    as_os_error,
+    pieces,
+)
 from lambent_server.database import schema
 from lambent_server.database.tenancy import Tenant, add_if_absent, change, rows
 from lambent_server.problems import Problem
-from lambent_server.s3 import S3Bucket, S3Options, StoreUnavailableError
+from lambent_server.s3 import S3Bucket, S3Options
 
-CHUNK_BYTES = 1024 * 1024
 READ_TIMEOUT_S = 120.0
 """Longest time that a request to a store may take."""
-
-Write = Callable[[], AbstractContextManager[Connection]]
-"""Opens a transaction."""
+COMPARED_S = 20.0
+"""How long the contents of many files are compared before a client gets its answer."""
 
 
 class Admission(Protocol):
@@ -45,9 +52,6 @@ class Admission(Protocol):
 
 PROBES = "uploads/probe"
 PROBE_BYTES = 4096
-BLOBS = "blobs"
-GZIP = "gzip"
-"""Folders of the store: blobs, and compressed copies of some of them under the blob's name."""
 LOST = -1
 """In place of a copy's size where the blob's bytes are gone; the reconciler forgets it once they are back."""
 
@@ -84,6 +88,7 @@ class BlobStore:
                 (folder / name).mkdir(parents=True, exist_ok=True)
             _sync(folder)
             self._store = LocalStore(folder)
+        self.checks = ContentChecks(self._store, self.key)
         # A transaction waits for deletions, so these must not take long.
         self._deleter = (
             self._store if self.bucket is None else self.bucket.obstore(timeout_s=5, num_retries=0)
@@ -119,7 +124,7 @@ class BlobStore:
     def listed(self, digits: str, folder: str = BLOBS) -> dict[str, tuple[int, float]]:
         """Return size and modification time (Unix seconds) of blobs whose hashes begin with `digits`."""
         found: dict[str, tuple[int, float]] = {}
-        with _as_os_error():
+        with as_os_error():
             for batch in obstore.list(self._store, f"{folder}/{digits}"):
                 for each in batch:
                     name = each["path"].rpartition("/")[2]
@@ -193,23 +198,19 @@ class BlobStore:
             self.delete(write, sha256, token)
 
     def _has(self, sha256: str, size_bytes: int) -> bool:
-        if self.size(sha256) != size_bytes:
-            return False
         if self.bucket is not None:
-            # Unlike a disk, such a store checks what it keeps.
-            return True
-        digest = hashlib.sha256()
-        for piece in self.read(sha256, size_bytes):
-            digest.update(piece)
-        return digest.hexdigest() == sha256
+            return self.holds(sha256, size_bytes)
+        # Whoever sends a file again may know that its bytes have changed just now.
+        return self.size(sha256) == size_bytes and self.checks.matches(sha256)
 
     def put_copy(self, sha256: str, path: Path) -> None:
         """Store a blob's compressed copy, which a row names afterwards."""
         self._put(sha256, path, GZIP)
 
     def _put(self, sha256: str, path: Path, folder: str = BLOBS) -> None:
-        with _as_os_error():
+        with as_os_error():
             obstore.put(self._store, self.key(sha256, folder), path)
+        self.checks.changed(sha256)
         if self._folder is not None:
             file = self._folder / self.key(sha256, folder)
             # The bytes, their directory entry, and that of a folder that may be new.
@@ -218,17 +219,29 @@ class BlobStore:
 
     def size(self, sha256: str, folder: str = BLOBS) -> int | None:
         """Return the size of the blob in the store, or of its copy, or None if it does not exist."""
-        try:
-            with _as_os_error():
-                return int(obstore.head(self._store, self.key(sha256, folder))["size"])
-        except FileNotFoundError:
-            return None
+        version = self.checks.version(sha256, folder)
+        return None if version is None else version.size_bytes
+
+    def holds(self, sha256: str, size_bytes: int, folder: str = BLOBS) -> bool:
+        """Return whether the store has the bytes of a hash, or of its copy: all of them, and unchanged."""
+        return self.checks.check(sha256, size_bytes, folder) is not None
 
     def damaged(self, expected: Mapping[str, int]) -> list[str]:
-        """Return the expected hashes whose blobs are missing or have another size."""
+        """Return the expected hashes whose blobs are missing, have another size, or other bytes.
+
+        After `COMPARED_S` seconds only sizes are looked at: reading looks at the bytes as well.
+        """
+        until = time.monotonic() + COMPARED_S
+
+        def is_damaged(sha256: str) -> bool:
+            if time.monotonic() > until:
+                return self.size(sha256) != expected[sha256]
+            return not self.holds(sha256, expected[sha256])
+
         with ThreadPoolExecutor(16) as pool:
-            sizes = pool.map(self.size, expected)
-            return [sha256 for sha256, size in zip(expected, sizes, strict=True) if size != expected[sha256]]
+            return [
+                sha256 for sha256, lost in zip(expected, pool.map(is_damaged, expected), strict=True) if lost
+            ]
 
     def read(
         self,
@@ -241,10 +254,11 @@ class BlobStore:
     ) -> Iterator[bytes]:
         """Return the bytes from `start` up to (not including) `end`, in pieces; in `GZIP` those of the copy.
 
-        Raises `blob_damaged` if the store does not have all `size_bytes` of them, and OSError if it is
-        unavailable, both before the response to a client begins.
+        Raises `blob_damaged` if the store does not have all `size_bytes` of them or if they do not match the
+        hash, and OSError if it is unavailable, both before the response to a client begins.
         """
-        if self.size(sha256, folder) != size_bytes:
+        version = self.checks.check(sha256, size_bytes, folder)
+        if version is None:
             raise damaged(sha256)
         if end is not None and end <= start:
             return iter(())
@@ -252,9 +266,12 @@ class BlobStore:
         options: Any = (
             None if whole else {"range": (start, end)} if end is not None else {"range": {"offset": start}}
         )
-        with _as_os_error():
+        with as_os_error():
             result = obstore.get(self._store, self.key(sha256, folder), options=options)
-        return _pieces(result)
+        if Version.of(result.meta) != version:
+            # Others have taken the place of the bytes that were looked at.
+            return self.read(sha256, size_bytes, start, end, folder=folder)
+        return pieces(result)
 
     def read_all(self, sha256: str) -> bytes:
         """Return the whole blob; raises `blob_damaged` if its bytes do not match its hash."""
@@ -286,7 +303,7 @@ class BlobStore:
         self._delete(sha256, GZIP)
 
     def _delete(self, sha256: str, folder: str) -> None:
-        with contextlib.suppress(FileNotFoundError), _as_os_error():
+        with contextlib.suppress(FileNotFoundError), as_os_error():
             obstore.delete(self._deleter, self.key(sha256, folder))
 
 
@@ -295,8 +312,8 @@ def damaged(sha256: str) -> Problem:
     return Problem(
         410,
         "blob_damaged",
-        f"the bytes of blob {sha256} are missing from the server's store or incomplete; send the file "
-        "again, or rerun the job that produced it",
+        f"the bytes of blob {sha256} are missing from the server's store, incomplete or damaged; send the "
+        "file again, or rerun the job that produced it",
         headers={"cache-control": "no-store"},
     )
 
@@ -322,24 +339,6 @@ def _sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-@contextlib.contextmanager
-def _as_os_error() -> Iterator[None]:
-    """Convert a store's exceptions into OSError, which the rest of the server handles."""
-    try:
-        yield
-    except NotFoundError as error:
-        raise FileNotFoundError(str(error)) from error
-    except BaseError as error:
-        # Whatever it is, another attempt may succeed: the rights were checked at the start.
-        raise StoreUnavailableError(str(error).splitlines()[0]) from error
-
-
-def _pieces(result: Any) -> Iterator[bytes]:
-    with _as_os_error():
-        for chunk in result.stream(CHUNK_BYTES):
-            yield bytes(chunk)
 
 
 def touch(connection: Connection, tenant: Tenant, sha256: str) -> int | None:

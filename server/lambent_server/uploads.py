@@ -52,7 +52,7 @@ async def received(services: Services, request: Request, max_bytes: int) -> Asyn
     except StoreUnavailableError:
         raise
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
             # A disk that became read-only, for example.
             raise StoreUnavailableError(str(error.strerror)) from error
         raise Problem(507, "disk_full", "the file could not be written", retryable=True) from error

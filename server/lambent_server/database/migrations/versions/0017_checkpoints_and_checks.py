@@ -1,4 +1,4 @@
-"""Checkpoints in the order in which they were committed, instead of that of the clocks of servers."""
+"""The order in which checkpoints were committed, whatever clocks say, and when bytes were checked."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -8,6 +8,7 @@ revision = "0017"
 down_revision = "0015"
 
 _SEQUENCE = "checkpoints_number"
+_CHECKED = "ix_blob_claims_checked_at"
 _INDEX = "ix_checkpoints_number"
 
 
@@ -28,8 +29,13 @@ def upgrade() -> None:
         # For servers of the release before.
         op.execute(f"ALTER TABLE checkpoints ALTER COLUMN number SET DEFAULT nextval('{_SEQUENCE}')")
     op.create_index(op.f(_INDEX), "checkpoints", ["number"], unique=False)
+    lock(("blob_claims",), "ACCESS EXCLUSIVE")
+    op.add_column("blob_claims", sa.Column("checked_at", sa.Double(), server_default="0", nullable=False))
+    op.create_index(op.f(_CHECKED), "blob_claims", ["checked_at"], unique=False)
 
 
 def downgrade() -> None:
+    op.drop_index(op.f(_CHECKED), table_name="blob_claims")
+    op.drop_column("blob_claims", "checked_at")
     op.drop_index(op.f(_INDEX), table_name="checkpoints")
     op.drop_column("checkpoints", "number")
