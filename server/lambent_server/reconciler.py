@@ -28,7 +28,7 @@ from lambent_server.housekeeping import REFERENCES
 from lambent_server.outages import report
 from lambent_server.services import Services
 from lambent_server.settings import Settings
-from lambent_server.store import GZIP, LOST
+from lambent_server.store import GZIP, LOST, file_time
 
 log = structlog.get_logger()
 
@@ -78,7 +78,7 @@ class Reconciler:
                     else:
                         self.num_missing = 0
                         retention.enforce(self._services, only_logs=True)
-                        remove_folders(self._services, old_before(self._services.settings))
+                        remove_folders(self._services)
             except (SQLAlchemyError, OSError) as error:
                 # The database or the disk is unavailable; the next round finds the same.
                 report("reconcile_failed", error)
@@ -128,12 +128,16 @@ class Findings:
 
 
 def old_before(settings: Settings) -> float:
-    """Return the time (Unix seconds) before which what nothing refers to is no upload in progress.
+    """Return the time (Unix seconds) before which rows without references are of no upload in progress."""
+    return now() - settings.orphan_after_s - skipped_s(settings.orphan_after_s)
 
-    Files have the time of the machine or store that they are on, which is earlier where a clock was set back
-    and this server's time runs on.
+
+def old_files_before(settings: Settings, file_time: float) -> float:
+    """Return the same for files, by the clock of the file system or store that they are on.
+
+    That may be another machine's, and is not slowed where it was set back; `file_time` is what it shows.
     """
-    return min(now(), time.time()) - settings.orphan_after_s - skipped_s(settings.orphan_after_s)
+    return file_time - settings.orphan_after_s - skipped_s(settings.orphan_after_s)
 
 
 def reconcile(services: Services) -> int:
@@ -147,9 +151,9 @@ def reconcile(services: Services) -> int:
         log.error("reconcile_refused", blobs_unknown=len(found.unknown), blobs=found.num_blobs)
     else:
         repair(services, found)
-        _reconcile_copies(services, old_before(services.settings))
+        _reconcile_copies(services, old_files_before(services.settings, services.store.file_time()))
         _compress_again(services, set(found.lost))
-        remove_folders(services, old_before(services.settings))
+        remove_folders(services)
     if found.num_orphans or found.lost:
         log.warning(
             "reconciled",
@@ -167,7 +171,7 @@ def examine(services: Services, *, contents: bool = False) -> Findings:
 
     Anything younger than `orphan_after_s` may be an upload in progress and is left out.
     """
-    before = old_before(services.settings)
+    before = old_files_before(services.settings, services.store.file_time())
     found = Findings()
     for prefix in _PREFIXES:
         # Rows first: bytes that come meanwhile have a row that is not known here, and are young.
@@ -181,7 +185,7 @@ def examine(services: Services, *, contents: bool = False) -> Findings:
         for sha256, (size, at) in files.items():
             if sha256 not in rows and at < before:
                 found.unknown[sha256] = size
-    found.unreferenced = _unreferenced(services, before)
+    found.unreferenced = _unreferenced(services, old_before(services.settings))
     bucket = services.store.bucket
     if bucket is not None:
         found.staged = [key for key, _, at in bucket.listed(f"{FOLDER}/") if at < before]
@@ -283,9 +287,10 @@ def _named_copies(prefix: str) -> Select[Any]:
     return across_tenants(bundle_files, sha256, size).where(condition)
 
 
-def remove_folders(services: Services, before: float) -> None:
+def remove_folders(services: Services) -> None:
     """Remove interrupted uploads, incomplete blobs, and the folders of deleted jobs."""
     settings = services.settings
+    before = old_files_before(settings, file_time(settings.scratch))
     partial = (settings.data / "store").glob("*/??/*#*") if settings.store is None else ()
     for path in _older((*settings.scratch.iterdir(), *partial), before):
         shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)

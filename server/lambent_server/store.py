@@ -96,6 +96,10 @@ class BlobStore:
         # Folder of a local store; other stores ensure the durability of their bytes themselves.
         self._folder = Path(self._store.prefix or "/") if isinstance(self._store, LocalStore) else None
 
+    def file_time(self) -> float:
+        """Return the time by which the store says when something was written (Unix seconds)."""
+        return time.time() if self._folder is None else file_time(self._folder)
+
     def probe(self) -> str:
         """Return "ok" if the store takes a few bytes; "full", "read-only" or "unavailable" if it does not."""
         if self._folder is not None:
@@ -316,6 +320,14 @@ def damaged(sha256: str) -> Problem:
         "file again, or rerun the job that produced it",
         headers={"cache-control": "no-store"},
     )
+
+
+def file_time(folder: Path) -> float:
+    """Return the time that a file which is written into a folder now gets (Unix seconds)."""
+    with tempfile.TemporaryFile(dir=folder) as file:
+        file.write(b"0")
+        file.flush()
+        return os.fstat(file.fileno()).st_mtime
 
 
 def probe_folder(folder: Path) -> str:

@@ -7,6 +7,7 @@ as often as others, and with it a server lives long enough to see whether its me
 """
 
 import contextlib
+import hashlib
 import json
 import os
 import random
@@ -23,16 +24,18 @@ from pathlib import Path
 from typing import Any
 
 import httpx2
+import obstore
 import psutil
 import pytest
 from lambent_server.s3 import S3Options
 from lambent_server.serving import free_port
 from lambent_server.store import BlobStore
-from sqlalchemy import create_engine
+from sqlalchemy import create_engine, text
 from support.invariants import broken
 from support.live_server import FINAL, LiveServer, wait_until
 from support.own_postgresql import OwnPostgreSQL
 from support.s3_server import S3Server, with_credentials
+from support.set_clock import SetClock
 
 pytestmark = pytest.mark.slow
 FAULTS = int(os.environ.get("LAMBENT_CHAOS_FAULTS", "8"))
@@ -41,7 +44,13 @@ PAUSE_S = float(os.environ.get("LAMBENT_CHAOS_PAUSE_S", "0.4"))
 JOB_EVERY_S = float(os.environ.get("LAMBENT_CHAOS_JOB_EVERY_S", "0.5"))
 AWAY_S = float(os.environ.get("LAMBENT_CHAOS_AWAY_S", "1.5"))
 SERVER_EVERY = int(os.environ.get("LAMBENT_CHAOS_SERVER_EVERY", "0"))
-ENDS_OF_SERVERS = ("the server killed", "the server ended")
+ENDS_OF_SERVERS = (
+    "the server killed",
+    "the server ended",
+    "the clock set while the server is down",
+    "a bit flipped while the server is down",
+)
+CLOCK_JUMP_S = 600
 UNLIMITED = 1_000_000
 ORPHAN_AFTER_S = 4.0
 SETTINGS = {
@@ -61,11 +70,16 @@ class World:
     server: LiveServer
     database: str
     store: BlobStore
+    clock: SetClock
     postgresql: OwnPostgreSQL | None = None
     s3: S3Server | None = None
     accepted: list[str] = field(default_factory=list)
     broken_off: bool = False
     """Whether the test has failed, so that nobody waits for a server that is not there."""
+    folder: Path = field(default_factory=Path)
+    """Of the bytes in the store, where it is one."""
+    spare: bytes = b""
+    """A file of a capture that no job uses."""
     done: Counter[str] = field(default_factory=Counter)
     choice: random.Random = field(default_factory=lambda: random.Random(SEED))  # noqa: S311
 
@@ -119,6 +133,12 @@ class World:
             "a run stopped for a while": self.freeze_run,
             "the server killed": self.kill_server,
             "the server ended": self.end_server,
+            "the clock set back": lambda: self.set_clock(-CLOCK_JUMP_S),
+            "the clock set forward": lambda: self.set_clock(CLOCK_JUMP_S),
+            "the clock set while the server is down": self.set_clock_between,
+            "a bit of a checkpoint flipped": self.flip_checkpoint,
+            "a bit of a capture flipped": self.flip_capture,
+            "a bit flipped while the server is down": self.flip_between,
         }
         if self.postgresql is not None:
             possible["PostgreSQL stopped"] = self.stop_postgresql
@@ -127,6 +147,106 @@ class World:
         if self.s3 is not None:
             possible["the store away"] = self.take_store_away
         return possible
+
+    def set_clock(self, seconds: int) -> None:
+        """Set the clock of the server by ten minutes, and at most so far from the right time."""
+        there = self.clock.offset_s + seconds
+        self.clock.set(there if abs(there) <= CLOCK_JUMP_S else 0)
+
+    def set_clock_between(self) -> None:
+        self.server.kill()
+        self.set_clock(self.choice.choice([-1, 1]) * CLOCK_JUMP_S)
+        self.server.start()
+
+    def _named(self, query: str) -> list[str]:
+        engine = create_engine(self.database)
+        with engine.connect() as connection:
+            found = sorted(connection.execute(text(query)).scalars())
+        engine.dispose()
+        return found
+
+    def flip(self, sha256: str, *, quietly: bool = False) -> bytes | None:
+        """Change one bit of a blob and return the bytes before; None if it is gone by now."""
+        key = BlobStore.key(sha256)
+        try:
+            whole = bytes(obstore.get(self.store._store, key).bytes())
+        except FileNotFoundError:
+            return None
+        if not whole:
+            return None
+        data = bytearray(whole)
+        data[self.choice.randrange(len(data))] ^= 1 << self.choice.randrange(8)
+        if self.s3 is not None:
+            obstore.put(self.store._store, key, bytes(data))
+            return whole
+        path = self.folder / key
+        with contextlib.suppress(FileNotFoundError):
+            before = path.stat()
+            with path.open("r+b") as file:
+                file.write(data)
+            if quietly:
+                os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+        return whole
+
+    def never_served(self, sha256: str, whole: bytes) -> None:
+        """Read a blob that was damaged: it is refused, gone or whole again, but never wrong."""
+        for _ in range(50):
+            with contextlib.suppress(httpx2.HTTPError):
+                answer = self.server.client.get(f"/v1/blobs/{sha256}")
+                assert answer.status_code in (200, 404, 410, 500, 503), answer.text
+                assert answer.status_code != 200 or answer.content == whole, f"{sha256} has wrong bytes"
+                if answer.status_code in (200, 404, 410):
+                    return
+            time.sleep(0.2)
+        raise AssertionError(f"{sha256} is not answered")
+
+    def flip_checkpoint(self) -> None:
+        """Damage a checkpoint of an unfinished job, whose next run has to do without it."""
+        found = self._named("SELECT sha256 FROM checkpoint_files")
+        if found:
+            sha256 = self.choice.choice(found)
+            whole = self.flip(sha256)
+            if whole is not None:
+                self.never_served(sha256, whole)
+
+    def flip_capture(self) -> None:
+        """Damage a capture, which the same upload repairs."""
+        sha256 = hashlib.sha256(self.spare).hexdigest()
+        if self.flip(sha256) is not None:
+            self.never_served(sha256, self.spare)
+        self.push_spare()
+
+    def push_spare(self) -> None:
+        """Upload a capture that no job uses, as often as it takes."""
+        sha256 = hashlib.sha256(self.spare).hexdigest()
+        plan = [{"path": "spare.png", "size": len(self.spare), "sha256": sha256}]
+        wait_until(lambda: self._pushed(plan, sha256), timeout_s=60.0)
+        self.never_served(sha256, self.spare)
+
+    def _pushed(self, plan: list[dict[str, Any]], sha256: str) -> bool:
+        client = self.server.client
+        try:
+            scene = client.post("/v1/scenes", json={"name": "spare"}).raise_for_status().json()["id"]
+            missing = client.post(f"/v1/scenes/{scene}/files:plan", json=plan).raise_for_status().json()
+            for each in missing["missing"]:
+                client.put(f"/v1/scenes/{scene}/files/{each}", content=self.spare).raise_for_status()
+            client.post(f"/v1/scenes/{scene}:commit").raise_for_status()
+            answer = client.get(f"/v1/blobs/{sha256}").raise_for_status()
+        except httpx2.HTTPError:
+            return False
+        return answer.content == self.spare
+
+    def flip_between(self) -> None:
+        """Damage a file of a bundle as a disk does, which tells nobody, and bring it back from a back-up."""
+        found = self._named("SELECT DISTINCT sha256 FROM bundle_files")
+        self.server.kill()
+        sha256 = self.choice.choice(found) if found else ""
+        whole = self.flip(sha256, quietly=True) if found else None
+        self.server.start()
+        if whole is not None:
+            self.never_served(sha256, whole)
+            obstore.put(self.store._store, BlobStore.key(sha256), whole)
+            self.never_served(sha256, whole)
 
     def kill_one(self) -> None:
         alive = self.alive()
@@ -258,11 +378,16 @@ def world(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[World]:
             s3.client().create_bucket(Bucket="bucket")
             settings |= {"store": "s3://bucket/chaos", "store_endpoint": s3.url, "store_region": "us-east-1"}
             options = S3Options(url="s3://bucket/chaos", endpoint=s3.url, region="us-east-1")
+        clock = SetClock(tmp_path / "clock")
+        settings["environment"] = clock.environment
+        settings["scrub_every_s"] = 2.0
         server = stack.enter_context(LiveServer(data, **settings))
         store = BlobStore(data / "store", s3=options)
         sqlite = f"sqlite:///{data / 'lambent.sqlite'}"
         url = sqlite if postgresql is None else postgresql.url.replace("postgresql:", "postgresql+psycopg:")
-        yield World(server, url, store, postgresql, s3)
+        world = World(server, url, store, clock, postgresql, s3, folder=data / "store")
+        world.spare = world.choice.randbytes(300_000)
+        yield world
 
 
 @pytest.mark.timeout(300 + 60 * FAULTS)
@@ -277,6 +402,7 @@ def world(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[World]:
 )
 def test_promises_hold_after_faults_of_every_kind(world: World):
     scene, ended = world.server.scene(), threading.Event()
+    world.push_spare()
     submitter = threading.Thread(target=world.submit_until, args=(ended, scene))
     memory = MemoryLog(world.server)
     watcher = threading.Thread(target=memory.watch_until, args=(ended,))
@@ -311,6 +437,7 @@ def test_promises_hold_after_faults_of_every_kind(world: World):
     assert set(jobs) == set(world.accepted), "one accepted twice, or lost"
     assert counts == {"succeeded": len(jobs)}
     assert runs > len(jobs), "no fault hit a run"
+    world.clock.set(0)
     # What was in transit when a process was killed is removed at the next start, once it is old enough.
     time.sleep(ORPHAN_AFTER_S)
     world.end_server()
