@@ -11,9 +11,11 @@ from lambent_server import clock
 from lambent_server.clock import SteadyTime, time_of_id
 from lambent_server.database.latest_time import begin_time, latest_time
 from lambent_server.database.schema import checkpoints, jobs
+from lambent_server.database.service_schema import webhook_deliveries
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.membership import Membership
 from lambent_server.settings import Settings
+from lambent_server.webhook_claims import claim
 from sqlalchemy import update
 from support.databases import postgresql, without_tables
 from support.live_server import LiveServer, wait_until
@@ -72,6 +74,17 @@ def test_a_job_that_waits_is_tried_again_after_its_wait_when_the_clock_was_set_b
     stage.controller._members.beat()
     stage.controller.turn()
     assert stage.job(job)["state"] == "running"
+
+
+@pytest.mark.parametrize(("wait_s", "is_due"), [(-1.0, True), (3600.0, False), (10 * 86400.0, True)])
+def test_a_delivery_waits_for_no_longer_than_any_wait_can_be(stage: Stage, wait_s: float, is_due: bool):
+    texts = ("id", "tenant_id", "event", "url", "host", "body")
+    values: dict[str, Any] = dict.fromkeys(texts, "x")
+    values |= {"state": "pending", "created_at": 0.0, "since": 0.0, "next_at": clock.now() + wait_s}
+    services = stage.api.services
+    with services.database.write() as connection:
+        connection.execute(webhook_deliveries.insert().values(**values, num_attempts=0, attempts=[]))
+    assert bool(claim(services.database, services.settings, 4, {})) is is_due
 
 
 def test_what_was_just_sent_is_not_garbage_after_the_clock_was_set_forward(

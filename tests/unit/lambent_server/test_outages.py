@@ -11,9 +11,11 @@ from lambent_server import outages
 from lambent_server.database.engine import Database
 from lambent_server.outages import away
 from lambent_server.s3 import StoreUnavailableError
+from obstore.exceptions import GenericError
 from sqlalchemy import text
 from sqlalchemy.exc import SQLAlchemyError
 from structlog.testing import capture_logs
+from support.api import expect, expect_problem, opened, sha256
 from support.databases import without_tables
 
 
@@ -77,3 +79,46 @@ def test_an_outage_is_logged_in_one_line_and_a_mistake_with_its_place():
         outages.report("x_failed", StoreUnavailableError("x"))
         outages.report("x_failed", RuntimeError("x"))
     assert [(each["log_level"], "exc_info" in each) for each in logs] == [("warning", False), ("error", True)]
+
+
+def test_uploads_to_a_store_that_is_read_only_or_full_are_put_off_until_it_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def refuse(*_: object, **__: object) -> None:
+        raise GenericError("Generic LocalFileSystem error: Read-only file system (os error 30)")
+
+    data = b"a picture"
+    with opened(tmp_path / "data") as api:
+        scene = api.scene({"one.png": data}, commit=False)
+        other = sha256(b"other")
+        plan = [{"path": "two.png", "size": 5, "sha256": other}]
+        expect(api.post(f"/v1/scenes/{scene}/files:plan", json=plan), 200)
+        url = f"/v1/scenes/{scene}/files/{other}"
+        with monkeypatch.context() as patched, capture_logs() as logs:
+            patched.setattr("lambent_server.store.obstore.put", refuse)
+            answer = api.put(url, content=b"other")
+            expect_problem(answer, 503, "store_unavailable")
+            assert int(answer.headers["retry-after"]) > 0
+            assert api.get(f"/v1/blobs/{sha256(data)}").content == data
+        assert not [each for each in logs if "exc_info" in each]
+        expect(api.put(url, content=b"other"), 204)
+
+
+def test_a_scratch_folder_that_is_read_only_is_an_outage_and_a_full_one_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    with opened(tmp_path / "data") as api:
+        scene = api.scene({"one.png": b"x"}, commit=False)
+        other = sha256(b"other")
+        plan = [{"path": "two.png", "size": 5, "sha256": other}]
+        expect(api.post(f"/v1/scenes/{scene}/files:plan", json=plan), 200)
+        for number, status in ((errno.EROFS, 503), (errno.ENOSPC, 507)):
+
+            def fail(*_: object, number: int = number, **__: object) -> None:
+                raise OSError(number, os.strerror(number))
+
+            with monkeypatch.context() as patched:
+                patched.setattr("lambent_server.store.BlobStore.put_file", fail)
+                answer = api.put(f"/v1/scenes/{scene}/files/{other}", content=b"other")
+            assert answer.status_code == status, answer.text
+            assert answer.json()["code"] in ("store_unavailable", "disk_full")
