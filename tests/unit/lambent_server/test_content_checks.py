@@ -147,6 +147,15 @@ def test_damaged_bytes_are_kept_aside_and_counted(api: Api):
     assert "lambent_blobs_damaged_total" in api.get("/metrics").text
 
 
+def test_damaged_bytes_go_with_their_blob(api: Api):
+    _, digest = sent(api)
+    flip(path_of(api, digest))
+    api.get(f"/v1/blobs/{digest}")
+    assert path_of(api, digest, DAMAGED).exists()
+    api.services.store.delete_bytes(digest)
+    assert not path_of(api, digest, DAMAGED).exists()
+
+
 def test_damaged_bytes_are_refused_even_where_they_cannot_be_set_aside(
     api: Api, monkeypatch: pytest.MonkeyPatch
 ):
