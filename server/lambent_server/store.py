@@ -22,6 +22,7 @@ from lambent_server import claims
 from lambent_server.clock import now
 from lambent_server.content_checks import (
     BLOBS,
+    DAMAGED,
     GZIP,
     ContentChecks,
     Version,
@@ -297,9 +298,11 @@ class BlobStore:
         return True
 
     def delete_bytes(self, sha256: str) -> None:
-        """Delete the bytes and their copy, whoever may need them."""
+        """Delete the bytes, their copy and what was set aside of them, whoever may need them."""
         # The copy first: without the bytes, nothing would say that it is there.
         self.delete_copy(sha256)
+        # Somebody's file, though with other bytes: it goes with whoever leaves.
+        self._delete(sha256, DAMAGED)
         self._delete(sha256, BLOBS)
 
     def delete_copy(self, sha256: str) -> None:
