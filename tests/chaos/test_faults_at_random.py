@@ -7,7 +7,6 @@ as often as others, and with it a server lives long enough to see whether its me
 """
 
 import contextlib
-import hashlib
 import json
 import os
 import random
@@ -24,13 +23,13 @@ from pathlib import Path
 from typing import Any
 
 import httpx2
-import obstore
 import psutil
 import pytest
 from lambent_server.s3 import S3Options
 from lambent_server.serving import free_port
 from lambent_server.store import BlobStore
-from sqlalchemy import create_engine, text
+from sqlalchemy import create_engine
+from support.flipped_bits import FlippedBits
 from support.invariants import broken
 from support.live_server import FINAL, LiveServer, wait_until
 from support.own_postgresql import OwnPostgreSQL
@@ -64,7 +63,7 @@ SETTINGS = {
 
 
 @dataclass
-class World:
+class World(FlippedBits):
     """A server, what it stands on, and the jobs that it has accepted."""
 
     server: LiveServer
@@ -157,96 +156,6 @@ class World:
         self.server.kill()
         self.set_clock(self.choice.choice([-1, 1]) * CLOCK_JUMP_S)
         self.server.start()
-
-    def _named(self, query: str) -> list[str]:
-        engine = create_engine(self.database)
-        with engine.connect() as connection:
-            found = sorted(connection.execute(text(query)).scalars())
-        engine.dispose()
-        return found
-
-    def flip(self, sha256: str, *, quietly: bool = False) -> bytes | None:
-        """Change one bit of a blob and return the bytes before; None if it is gone by now."""
-        key = BlobStore.key(sha256)
-        try:
-            whole = bytes(obstore.get(self.store._store, key).bytes())
-        except FileNotFoundError:
-            return None
-        if not whole:
-            return None
-        data = bytearray(whole)
-        data[self.choice.randrange(len(data))] ^= 1 << self.choice.randrange(8)
-        if self.s3 is not None:
-            obstore.put(self.store._store, key, bytes(data))
-            return whole
-        path = self.folder / key
-        with contextlib.suppress(FileNotFoundError):
-            before = path.stat()
-            with path.open("r+b") as file:
-                file.write(data)
-            if quietly:
-                os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
-        return whole
-
-    def never_served(self, sha256: str, whole: bytes) -> None:
-        """Read a blob that was damaged: it is refused, gone or whole again, but never wrong."""
-        for _ in range(50):
-            with contextlib.suppress(httpx2.HTTPError):
-                answer = self.server.client.get(f"/v1/blobs/{sha256}")
-                assert answer.status_code in (200, 404, 410, 500, 503), answer.text
-                assert answer.status_code != 200 or answer.content == whole, f"{sha256} has wrong bytes"
-                if answer.status_code in (200, 404, 410):
-                    return
-            time.sleep(0.2)
-        raise AssertionError(f"{sha256} is not answered")
-
-    def flip_checkpoint(self) -> None:
-        """Damage a checkpoint of an unfinished job, whose next run has to do without it."""
-        found = self._named("SELECT sha256 FROM checkpoint_files")
-        if found:
-            sha256 = self.choice.choice(found)
-            whole = self.flip(sha256)
-            if whole is not None:
-                self.never_served(sha256, whole)
-
-    def flip_capture(self) -> None:
-        """Damage a capture, which the same upload repairs."""
-        sha256 = hashlib.sha256(self.spare).hexdigest()
-        if self.flip(sha256) is not None:
-            self.never_served(sha256, self.spare)
-        self.push_spare()
-
-    def push_spare(self) -> None:
-        """Upload a capture that no job uses, as often as it takes."""
-        sha256 = hashlib.sha256(self.spare).hexdigest()
-        plan = [{"path": "spare.png", "size": len(self.spare), "sha256": sha256}]
-        wait_until(lambda: self._pushed(plan, sha256), timeout_s=60.0)
-        self.never_served(sha256, self.spare)
-
-    def _pushed(self, plan: list[dict[str, Any]], sha256: str) -> bool:
-        client = self.server.client
-        try:
-            scene = client.post("/v1/scenes", json={"name": "spare"}).raise_for_status().json()["id"]
-            missing = client.post(f"/v1/scenes/{scene}/files:plan", json=plan).raise_for_status().json()
-            for each in missing["missing"]:
-                client.put(f"/v1/scenes/{scene}/files/{each}", content=self.spare).raise_for_status()
-            client.post(f"/v1/scenes/{scene}:commit").raise_for_status()
-            answer = client.get(f"/v1/blobs/{sha256}").raise_for_status()
-        except httpx2.HTTPError:
-            return False
-        return answer.content == self.spare
-
-    def flip_between(self) -> None:
-        """Damage a file of a bundle as a disk does, which tells nobody, and bring it back from a back-up."""
-        found = self._named("SELECT DISTINCT sha256 FROM bundle_files")
-        self.server.kill()
-        sha256 = self.choice.choice(found) if found else ""
-        whole = self.flip(sha256, quietly=True) if found else None
-        self.server.start()
-        if whole is not None:
-            self.never_served(sha256, whole)
-            obstore.put(self.store._store, BlobStore.key(sha256), whole)
-            self.never_served(sha256, whole)
 
     def kill_one(self) -> None:
         alive = self.alive()
