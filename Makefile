@@ -81,7 +81,7 @@ test-programs: $(VENV)/.installed ## Draw our exports with Blender and Mitsuba, 
 # CHAOS_ARGS="-k sqlite" runs a part.
 chaos: export LAMBENT_TEST_ALL := 1
 chaos: export LAMBENT_TEST_RAY := 1
-chaos: export LAMBENT_CHAOS_FAULTS ?= 200
+chaos: export LAMBENT_CHAOS_FAULTS ?= 300
 chaos: export LAMBENT_CHAOS_KILLS ?= 200
 chaos: export LAMBENT_CHAOS_SERVER_KILLS ?= 20
 chaos: export LAMBENT_CHAOS_SUBMIT_KILLS ?= 100

@@ -50,6 +50,14 @@ def current(connection: Connection, sha256: str) -> str:
     return str(_lock(connection, sha256)["token"])
 
 
+def interrupt(connection: Connection, sha256: str) -> None:
+    """Lock a hash and let whoever is writing its bytes write them again."""
+    row = _lock(connection, sha256)
+    if row["state"] == KEPT:
+        mine = update(blob_claims).where(blob_claims.c.sha256 == sha256)
+        connection.execute(mine.values(token=new_id("claim")))
+
+
 def announce_deletion(connection: Connection, sha256: str) -> str | None:
     """Return the token of a deletion that begins with this transaction, or None if a tenant has the blob."""
     anybody = across_tenants(blobs, blobs.c.sha256).where(blobs.c.sha256 == sha256)

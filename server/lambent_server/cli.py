@@ -106,6 +106,7 @@ def keys(
     from lambent_server import keys as key_rows
     from lambent_server.accounts import audit
     from lambent_server.accounts.who import operator
+    from lambent_server.database.latest_time import begin_time
     from lambent_server.database.schema import api_keys
     from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant, rows
     from lambent_server.problems import Problem
@@ -121,6 +122,7 @@ def keys(
         raise typer.Exit(2)
     opened = open_database(settings)
     try:
+        begin_time(opened)
         with opened.write() as connection:
             if action is KeyAction.LIST:
                 for each in connection.execute(

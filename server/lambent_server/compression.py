@@ -17,6 +17,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from lambent_server import claims
 from lambent_server.database.schema import bundle_files
 from lambent_server.database.tenancy import across_tenants
+from lambent_server.outages import report
 from lambent_server.problems import Problem
 from lambent_server.services import Services
 from lambent_server.store import LOST
@@ -65,9 +66,9 @@ class Compressor:
                     self.turn()
             except Stopped:
                 return
-            except (SQLAlchemyError, OSError):
+            except (SQLAlchemyError, OSError) as error:
                 # The database or the store is unavailable, or the disk full; the next round finds the same.
-                log.exception("compression_failed")
+                report("compression_failed", error)
                 self._stopping.wait(TICK_S)
             self._wake.wait(TICK_S)
             # Signals come in bursts.

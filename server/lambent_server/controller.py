@@ -42,7 +42,8 @@ from lambent_server.job_rows import (
 )
 from lambent_server.membership import Membership, full_handle
 from lambent_server.metrics import RUNS_STARTED
-from lambent_server.outcomes import Failure, fail, judge, wait_for_room
+from lambent_server.outages import report
+from lambent_server.outcomes import Failure, fail, is_due, judge, wait_for_room
 from lambent_server.queue_order import QueueOrder
 from lambent_server.run_clocks import RunClocks
 from lambent_server.secrets import run_token
@@ -53,6 +54,7 @@ from lambent_server.worker_certificates import ServerAddress
 log = structlog.get_logger()
 
 STUCK_S = 30.0
+_LONG_AGO = float("-inf")
 _KILLED_S = 2.0
 """How long the end of processes is waited for that were killed."""
 
@@ -84,9 +86,9 @@ class Controller:
         self._stopping = threading.Event()
         self._paused = False
         self._notices = Notices(services.database)
-        self._swept_at = 0.0
+        self._swept_at = _LONG_AGO
         self._thread = threading.Thread(target=self._loop, name="controller", daemon=True)
-        self.turned_at = now()
+        self.turned_at = time.monotonic()
         # Another server leads while this one's loop does nothing.
         membership.is_fit = lambda: not self.is_stuck
         services.wakeups.listen(self._wake.set)
@@ -94,7 +96,7 @@ class Controller:
     @property
     def is_stuck(self) -> bool:
         """Whether no job was looked at for so long that another server should lead."""
-        return now() - self.turned_at > STUCK_S + 10 * self._settings.tick_s
+        return time.monotonic() - self.turned_at > STUCK_S + 10 * self._settings.tick_s
 
     def start(self) -> None:
         """Start the loop in its own thread."""
@@ -106,8 +108,8 @@ class Controller:
         if stop_runs and self._members.controls:
             try:
                 self._stop_runs()
-            except (SQLAlchemyError, OSError):
-                log.exception("runs_not_stopped")
+            except (SQLAlchemyError, OSError) as error:
+                report("runs_not_stopped", error)
         self._stopping.set()
         self._wake.set()
         if self._thread.is_alive():
@@ -119,7 +121,7 @@ class Controller:
     def _loop(self) -> None:
         while not self._stopping.is_set():
             if not self._members.controls or self._try_to_turn():
-                self.turned_at = now()
+                self.turned_at = time.monotonic()
             else:
                 self._stopping.wait(self._settings.tick_s)
             self._wake.wait(self._settings.tick_s)
@@ -128,9 +130,9 @@ class Controller:
     def _try_to_turn(self) -> bool:
         try:
             self.turn()
-        except (SQLAlchemyError, OSError):
+        except (SQLAlchemyError, OSError) as error:
             # The database or the disk is unavailable; the rows say what to do once it is back.
-            log.exception("controller_turn_failed")
+            report("controller_turn_failed", error)
             return False
         return True
 
@@ -146,27 +148,30 @@ class Controller:
         self.clocks.pass_on(observed, (*mine, *orphans) if leads else mine)
         for job in mine:
             changed |= self._observe(job)
-            self.turned_at = now()
+            self.turned_at = time.monotonic()
         for job in orphans:
             # The leader may have no part in the cluster of the run: every server that has takes runs over.
             if is_placed(job["handle"]) and self._executor.adopt(job["handle"]):
                 self._take_over(job)
             elif leads:
                 changed |= self._observe(job) if self._sees(job) else self._observe_from_afar(job)
-            self.turned_at = now()
+            self.turned_at = time.monotonic()
         for run in runs - {run_name(job["id"], job["run"]) for job in observed}:
             self._executor.forget(run)
         due = (
-            self._read(in_state(RETRY_WAIT), jobs.c.retry_at <= now(), order=jobs.c.retry_at) if leads else ()
+            self._read(in_state(RETRY_WAIT), is_due(self._settings, now()), order=jobs.c.retry_at)
+            if leads
+            else ()
         )
         for job in due:
             with self._services.database.write() as connection:
                 changed |= move(connection, job, QUEUED, "next try", retry_at=None)
         if not self._paused and DRAIN not in self._notices.now():
             changed |= self._start_queued()
-        if leads and not self._paused and now() - self._swept_at > self._settings.garbage_after_s / 2:
+        swept_s = time.monotonic() - self._swept_at
+        if leads and not self._paused and swept_s > self._settings.garbage_after_s / 2:
             sweep(self._services)
-            self._swept_at = 0.0 if is_more_due(self._services) else now()
+            self._swept_at = _LONG_AGO if is_more_due(self._services) else time.monotonic()
         if changed:
             self._services.wakeups.signal()
 

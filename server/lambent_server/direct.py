@@ -134,7 +134,7 @@ class DirectUploads:
         if version is None:
             with write() as connection:
                 known = _is_known(connection, tenant, blob)
-            if known and self._store.size(blob.sha256) == blob.size_bytes:
+            if known and self._store.holds(blob.sha256, blob.size_bytes):
                 return False
             raise _upload_missing(blob)
         self._verify(key, version, blob)
@@ -142,9 +142,10 @@ class DirectUploads:
         def copy() -> None:
             try:
                 self._bucket.copy(key, version, self._store.key(blob.sha256))
+                self._store.checks.changed(blob.sha256)
             except FileNotFoundError as error:
                 # Another request has taken it over at the same time, or it was sent again.
-                if self._store.size(blob.sha256) != blob.size_bytes:
+                if not self._store.holds(blob.sha256, blob.size_bytes):
                     raise _upload_missing(blob) from error
 
         created = self._store.add(write, tenant, blob, copy, admission)

@@ -172,10 +172,10 @@ class Feed:
         Whatever is missing in them will be offered, because an offer makes what was read before it obsolete.
         """
         async with self._recent_lock:
-            at, shown = self._recent.get(tenant.id, (0.0, []))
-            if now() - at < RECENT_S:
+            at, shown = self._recent.get(tenant.id, (float("-inf"), []))
+            if time.monotonic() - at < RECENT_S:
                 return shown
-            offers, at = self._offers, now()
+            offers, at = self._offers, time.monotonic()
             shown = await to_thread.run_sync(self._read_recent, tenant, limiter=self.limiter)
             if self._offers == offers:
                 self._recent[tenant.id] = (at, shown)

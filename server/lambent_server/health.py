@@ -1,22 +1,22 @@
 """Health checks of a server's parts, each in its own thread so that one that hangs does not block others."""
 
 import asyncio
-import errno
-import os
 import shutil
-import tempfile
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 
 from lambent_server.server_state import Notices
 from lambent_server.services import Services
 from lambent_server.settings import Settings
+from lambent_server.store import probe_folder
 
 PROBE_S = 1.0
+STORE_S = 10.0
+"""How long an answer of the store is kept: anybody may ask, and a bucket counts requests."""
 NOTICES = "notices"
 """The check that names what operators have told the server, or an error: nothing that works or does not."""
-PROBE_BYTES = 4096
 
 
 class Health:
@@ -27,6 +27,7 @@ class Health:
         self._probes: dict[str, Callable[[], str]] = {
             "database": lambda: services.database.probe(PROBE_S),
             "disk": lambda: probe_disk(services.settings),
+            "store": _Seldom(services.store.probe, STORE_S),
             NOTICES: lambda: " ".join(sorted(notices.now())),
         }
         self._asked: dict[str, Future[str]] = {}
@@ -48,6 +49,22 @@ class Health:
             return "timeout"
 
 
+class _Seldom:
+    """A check whose good answer is kept for a while."""
+
+    def __init__(self, probe: Callable[[], str], kept_s: float) -> None:
+        self._probe, self._kept_s = probe, kept_s
+        self._until = float("-inf")
+
+    def __call__(self) -> str:
+        if time.monotonic() < self._until:
+            return "ok"
+        answer = self._probe()
+        if answer == "ok":
+            self._until = time.monotonic() + self._kept_s
+        return answer
+
+
 def _answer(asked: Future[str], probe: Callable[[], str]) -> None:
     try:
         asked.set_result(probe())
@@ -57,12 +74,8 @@ def _answer(asked: Future[str], probe: Callable[[], str]) -> None:
 
 def probe_disk(settings: Settings) -> str:
     """Return whether the data folder is writable and has the space that must stay free."""
-    try:
-        with tempfile.TemporaryFile(dir=settings.scratch) as file:
-            file.write(bytes(PROBE_BYTES))
-            file.flush()
-            os.fsync(file.fileno())
-        free = shutil.disk_usage(settings.data).free
-    except OSError as error:
-        return "full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "unwritable"
+    state = probe_folder(settings.scratch)
+    if state != "ok":
+        return state
+    free = shutil.disk_usage(settings.data).free
     return "ok" if free >= settings.disk_floor_bytes else "low"

@@ -6,7 +6,7 @@ from typing import Any
 from sqlalchemy import Column, Connection, Select, delete, exists, literal_column, select
 
 from lambent_server import claims, job_counts, scene_rows
-from lambent_server.clock import now
+from lambent_server.clock import now, skipped_s
 from lambent_server.database.cluster_schema import run_logs
 from lambent_server.database.schema import (
     artifacts,
@@ -26,6 +26,7 @@ from lambent_server.database.schema import (
 from lambent_server.database.service_schema import webhook_deliveries
 from lambent_server.database.tenancy import Tenant, across_tenants, change, remove, rows
 from lambent_server.services import Services
+from lambent_server.settings import Settings
 
 ENDED_SHARE_S = 30 * 86400.0
 """How long after its expiry a link is known to have ended."""
@@ -55,7 +56,7 @@ def sweep(services: Services) -> int:
     """
     job_counts.fold(services.database)
     _expire(services)
-    before = now() - services.settings.garbage_after_s
+    before = garbage_before(services.settings)
     with services.database.read() as connection:
         due = connection.execute(_due(before).limit(AT_ONCE)).mappings().all()
         begun = claims.announced(connection)
@@ -70,9 +71,17 @@ def sweep(services: Services) -> int:
 
 def is_more_due(services: Services) -> bool:
     """Return whether a sweep has left blobs for the next one."""
-    before = now() - services.settings.garbage_after_s
+    before = garbage_before(services.settings)
     with services.database.read() as connection:
         return connection.execute(_due(before).limit(1)).first() is not None
+
+
+def garbage_before(settings: Settings) -> float:
+    """Return the time (Unix seconds) since when a blob without references must have been one to be removed.
+
+    What was sent just before the clock was set forward is not old.
+    """
+    return now() - settings.garbage_after_s - skipped_s(settings.garbage_after_s)
 
 
 def _due(before: float) -> Select[Any]:

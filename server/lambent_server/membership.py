@@ -8,7 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ import structlog
 from sqlalchemy import Connection, delete, func, insert, select, update
 from sqlalchemy.exc import SQLAlchemyError
 
-from lambent_server.clock import new_id
+from lambent_server.clock import follow, new_id
 from lambent_server.database.cluster_schema import leadership, servers
 from lambent_server.database.columns import clock_time
 from lambent_server.database.engine import Database
@@ -143,6 +143,8 @@ class Membership:
         self._known = False
         self._others: tuple[Member, ...] = ()
         self._looked_at = float("-inf")
+        self._beats: dict[str, tuple[float, float]] = {}
+        """When each server said last that it lives, and since when this is known (monotonic)."""
         self._spared: frozenset[str] = frozenset()
         """Servers that lived before the database was away, and may not have said so again yet."""
         self._spared_until = 0.0
@@ -188,6 +190,7 @@ class Membership:
         Waits until a row of an earlier life of this server on another machine has expired.
         """
         before: Member | None = None
+        began = time.monotonic()
         while True:
             with self._database.read() as connection:
                 found = next((each for each in members(connection) if each.id == self.id), None)
@@ -199,6 +202,9 @@ class Membership:
             if before is not None and found.beat_at != before.beat_at:
                 return True
             before = before or found
+            if time.monotonic() - began > self._settings.server_lost_after_s:
+                # Only a clock of the database that was set back lets it live still.
+                return False
             time.sleep(min(self._settings.server_beat_s, self._settings.server_lost_after_s) / 2)
 
     def start(self, url: str) -> None:
@@ -265,12 +271,24 @@ class Membership:
             self._spared = frozenset(each.id for each in self._others if self.is_alive(each.id))
             self._spared_until = time.monotonic() + lost_after_s
         self._looked_at = began
-        self._others = tuple(each for each in found if each.id != self.id)
+        beats = {each.id: (each.beat_at, began) for each in found}
+        # By when a row was first seen: what the database's clock shows may have been set back.
+        self._beats = {
+            name: self._beats[name] if name in self._beats and self._beats[name][0] == beat[0] else beat
+            for name, beat in beats.items()
+        }
+        self._others = tuple(
+            replace(each, is_alive=each.is_alive and began - self._beats[each.id][1] <= lost_after_s)
+            for each in found
+            if each.id != self.id
+        )
 
     def _write_row(self) -> None:
         window_s = 3 * _ALONE_BEAT_S if self._database.is_sqlite else self._settings.server_lost_after_s
         with self._database.write() as connection:
             at = clock_time(connection)
+            if not self._database.is_sqlite:
+                follow(connection.execute(select(at)).scalar_one())
             values: dict[str, Any] = {
                 "host": self.host,
                 "hostname": socket.gethostname(),

@@ -10,6 +10,7 @@ from sqlalchemy import func
 
 from lambent_server import job_counts
 from lambent_server.clock import now
+from lambent_server.content_checks import BLOBS_DAMAGED, CHECKED_BYTES
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.job_rows import FINAL, QUEUED, UNFINISHED, in_state
@@ -56,6 +57,8 @@ _METRICS: tuple[Collector, ...] = (
     RUNS_FAILED,
     UPLOAD_BYTES,
     DIRECT_BYTES,
+    BLOBS_DAMAGED,
+    CHECKED_BYTES,
 )
 
 

@@ -14,7 +14,6 @@ from urllib.parse import urlencode, urlsplit
 import httpx2
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from lambent_server.clock import now
 from lambent_server.settings import Settings
 
 TIMEOUT_S = 10.0
@@ -204,7 +203,7 @@ class Provider:
             }
             given = {"nonce": nonce, "client_id": client_id, "access_token": tokens.access_token}
             claims = CodeIDToken(token.claims, token.header, options, given)
-            claims.validate(int(now()), LEEWAY_S)
+            claims.validate(int(time.time()), LEEWAY_S)
         except (JoseError, ValueError, TypeError, KeyError) as error:
             raise SignInError("id_token_invalid", f"the ID token is refused: {error!r}") from error
         return dict(claims)

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import structlog
-from sqlalchemy import Connection
+from sqlalchemy import ColumnElement, Connection, or_
 
-from lambent_server.clock import now
+from lambent_server.clock import JUMP_S, now
+from lambent_server.database.schema import jobs
 from lambent_server.executors import Gone
 from lambent_server.job_rows import (
     CANCELLED,
@@ -105,6 +106,15 @@ def wait_for_room(connection: Connection, job: Job, why: str, settings: Settings
     wait_s = settings.place_retry_s
     message = f"not placed: {why}; back in the queue in {wait_s:g} s"
     return move(connection, job, RETRY_WAIT, message, stop_reason=None, retry_at=now() + wait_s)
+
+
+def is_due(settings: Settings, at: float) -> ColumnElement[bool]:
+    """Return the condition that a waiting job starts again at the time `at` (Unix seconds).
+
+    A time that is further away than any wait was told by a clock that has been set back since.
+    """
+    longest_s = max(settings.retry_delay_s * 2.0 ** max(settings.max_failures - 2, 0), settings.place_retry_s)
+    return or_(jobs.c.retry_at <= at, jobs.c.retry_at > at + longest_s + JUMP_S)
 
 
 def lose(connection: Connection, job: Job, how: str, settings: Settings) -> bool:

@@ -16,6 +16,8 @@ KEPT_WITH_SCENE = frozenset({"cameras", "masks"})
 PREPARES = frozenset({"train", "prepare"})
 """Kinds of jobs that have these stages."""
 
+BY_NUMBER = (checkpoints.c.number, checkpoints.c.id)
+"""The order in which checkpoints were committed: clocks differ, and are set back."""
 Row = Mapping[str, Any]
 
 
@@ -33,7 +35,7 @@ def offered_checkpoints(connection: Connection, tenant: Tenant, job: Job) -> lis
     mine = checkpoints.c.job_id == job["id"]
     if job["kind"] in PREPARES:
         mine |= checkpoints.c.scene_id == job["scene_id"]
-    found = connection.execute(rows(tenant, checkpoints).where(mine).order_by(checkpoints.c.id)).mappings()
+    found = connection.execute(rows(tenant, checkpoints).where(mine).order_by(*BY_NUMBER)).mappings()
     own: list[Row] = []
     kept: dict[str, Row] = {}
     for row in map(dict, found):
@@ -49,7 +51,7 @@ def drop_superseded(connection: Connection, tenant: Tenant, job: Job, newest: st
     """Delete the checkpoints that no later run would use, now that the job has one more, `newest`."""
     own = rows(tenant, checkpoints).where(checkpoints.c.job_id == job["id"], checkpoints.c.scene_id.is_(None))
     newest_of_stage: set[str] = set()
-    kept = connection.execute(own.order_by(checkpoints.c.id.desc())).mappings().all()
+    kept = connection.execute(own.order_by(*(column.desc() for column in BY_NUMBER))).mappings().all()
     for place, row in enumerate(kept):
         if place >= KEPT_CHECKPOINTS and row["stage"] in newest_of_stage:
             drop_checkpoint(connection, tenant, row["id"])

@@ -2,6 +2,7 @@
 
 import shutil
 import threading
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ from sqlalchemy import Select, and_, exists, update
 from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server import claims, retention
-from lambent_server.clock import now
+from lambent_server.clock import now, skipped_s
 from lambent_server.database.schema import (
     api_keys,
     blobs,
@@ -24,8 +25,10 @@ from lambent_server.database.tenancy import Tenant, across_tenants
 from lambent_server.direct import FOLDER
 from lambent_server.garbage import discard
 from lambent_server.housekeeping import REFERENCES
+from lambent_server.outages import report
 from lambent_server.services import Services
-from lambent_server.store import GZIP, LOST
+from lambent_server.settings import Settings
+from lambent_server.store import GZIP, LOST, file_time
 
 log = structlog.get_logger()
 
@@ -61,13 +64,13 @@ class Reconciler:
         self._thread.join(timeout=1)
 
     def _loop(self) -> None:
-        looked_at = 0.0
+        looked_at = float("-inf")
         while True:
             stopping = self._stopping.is_set()
             try:
                 note_key_uses(self._services)
-                if not stopping and now() - looked_at >= self._services.settings.reconcile_s:
-                    looked_at = now()
+                if not stopping and time.monotonic() - looked_at >= self._services.settings.reconcile_s:
+                    looked_at = time.monotonic()
                     self._services.database.analyze()
                     if self._leads():
                         retention.enforce(self._services)
@@ -75,10 +78,10 @@ class Reconciler:
                     else:
                         self.num_missing = 0
                         retention.enforce(self._services, only_logs=True)
-                        remove_folders(self._services, now() - self._services.settings.orphan_after_s)
-            except (SQLAlchemyError, OSError):
+                        remove_folders(self._services)
+            except (SQLAlchemyError, OSError) as error:
                 # The database or the disk is unavailable; the next round finds the same.
-                log.exception("reconcile_failed")
+                report("reconcile_failed", error)
             if stopping:
                 return
             self._stopping.wait(TICK_S)
@@ -108,6 +111,8 @@ class Findings:
     """Tenants and hashes of rows that nothing refers to: files of uploads and runs that were broken off."""
     staged: list[str] = field(default_factory=list)
     """Names of files that were sent to the store directly and never taken over."""
+    damaged: list[str] = field(default_factory=list)
+    """Hashes of bytes that are whole and do not match them; found only where contents are read."""
     parts: list[tuple[str, str]] = field(default_factory=list)
     """Names and ids of uploads in parts that were never completed."""
 
@@ -122,6 +127,19 @@ class Findings:
         return len(self.unknown) + len(self.unreferenced) + len(self.staged) + len(self.parts)
 
 
+def old_before(settings: Settings) -> float:
+    """Return the time (Unix seconds) before which rows without references are of no upload in progress."""
+    return now() - settings.orphan_after_s - skipped_s(settings.orphan_after_s)
+
+
+def old_files_before(settings: Settings, file_time: float) -> float:
+    """Return the same for files, by the clock of the file system or store that they are on.
+
+    That may be another machine's, and is not slowed where it was set back; `file_time` is what it shows.
+    """
+    return file_time - settings.orphan_after_s - skipped_s(settings.orphan_after_s)
+
+
 def reconcile(services: Services) -> int:
     """Remove what is left over; return the number of blobs whose bytes are missing or truncated.
 
@@ -133,9 +151,9 @@ def reconcile(services: Services) -> int:
         log.error("reconcile_refused", blobs_unknown=len(found.unknown), blobs=found.num_blobs)
     else:
         repair(services, found)
-        _reconcile_copies(services, now() - services.settings.orphan_after_s)
+        _reconcile_copies(services, old_files_before(services.settings, services.store.file_time()))
         _compress_again(services, set(found.lost))
-        remove_folders(services, now() - services.settings.orphan_after_s)
+        remove_folders(services)
     if found.num_orphans or found.lost:
         log.warning(
             "reconciled",
@@ -148,22 +166,26 @@ def reconcile(services: Services) -> int:
     return len(found.lost)
 
 
-def examine(services: Services) -> Findings:
-    """Return how database and store differ, and change nothing.
+def examine(services: Services, *, contents: bool = False) -> Findings:
+    """Return how database and store differ, and change nothing; with `contents` all bytes are read.
 
     Anything younger than `orphan_after_s` may be an upload in progress and is left out.
     """
-    before = now() - services.settings.orphan_after_s
+    before = old_files_before(services.settings, services.store.file_time())
     found = Findings()
     for prefix in _PREFIXES:
         # Rows first: bytes that come meanwhile have a row that is not known here, and are young.
         rows, files = _sizes(services, prefix), services.store.listed(prefix)
         found.num_blobs += len(files)
-        found.lost += [sha256 for sha256, size in rows.items() if files.get(sha256, (-1, 0.0))[0] != size]
+        lost = {sha256 for sha256, size in rows.items() if files.get(sha256, (-1, 0.0))[0] != size}
+        found.lost += sorted(lost)
+        if contents:
+            matches = services.store.checks.matches
+            found.damaged += [sha256 for sha256 in sorted(set(rows) - lost) if not matches(sha256)]
         for sha256, (size, at) in files.items():
             if sha256 not in rows and at < before:
                 found.unknown[sha256] = size
-    found.unreferenced = _unreferenced(services, before)
+    found.unreferenced = _unreferenced(services, old_before(services.settings))
     bucket = services.store.bucket
     if bucket is not None:
         found.staged = [key for key, _, at in bucket.listed(f"{FOLDER}/") if at < before]
@@ -173,7 +195,7 @@ def examine(services: Services) -> Findings:
 
 def repair(services: Services, found: Findings) -> None:
     """Remove what is left over, unless it is needed by now."""
-    before = now() - services.settings.orphan_after_s
+    before = old_before(services.settings)
     for sha256 in found.unknown:
         remove_orphan(services, sha256, before)
     with services.database.write() as connection:
@@ -265,9 +287,10 @@ def _named_copies(prefix: str) -> Select[Any]:
     return across_tenants(bundle_files, sha256, size).where(condition)
 
 
-def remove_folders(services: Services, before: float) -> None:
+def remove_folders(services: Services) -> None:
     """Remove interrupted uploads, incomplete blobs, and the folders of deleted jobs."""
     settings = services.settings
+    before = old_files_before(settings, file_time(settings.scratch))
     partial = (settings.data / "store").glob("*/??/*#*") if settings.store is None else ()
     for path in _older((*settings.scratch.iterdir(), *partial), before):
         shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)

@@ -9,6 +9,7 @@ from sqlalchemy import Connection
 
 from lambent_server import label_rows, provenance
 from lambent_server.clock import new_id, now
+from lambent_server.database.columns import next_number
 from lambent_server.database.schema import (
     artifacts,
     bundle_files,
@@ -87,7 +88,7 @@ def store_report(
         progress = to_rest(report.progress)
         values |= {"progress": progress, "progress_at": now()}
         stage_ended = progress["step"] == progress["num_steps"]
-        due = now() - (job["progress_event_at"] or 0.0) >= 0.9 * _progress_gap_s(job, settings)
+        due = not 0.0 <= now() - (job["progress_event_at"] or 0.0) < 0.9 * _progress_gap_s(job, settings)
         if due or stage_ended or progress["stage"] != (job["progress"] or {}).get("stage"):
             values["progress_event_at"] = now()
             append_event(connection, job, NewEvent(type="progress", progress=progress))
@@ -172,6 +173,7 @@ def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.Checkpo
             tenant,
             checkpoints,
             id=identifier,
+            number=next_number(connection, checkpoints.c.number),
             job_id=job["id"],
             run=job["run"],
             stage=manifest.stage,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from anyio import CapacityLimiter
 
 from lambent_server.database.engine import Database
+from lambent_server.database.latest_time import begin_time
 from lambent_server.problems import Problem
 from lambent_server.provenance import Signer, open_signer
 from lambent_server.s3 import S3Options
@@ -75,16 +76,21 @@ def open_services(settings: Settings) -> Services:
         shutil.rmtree(path) if path.is_dir() else path.unlink()
     database = open_database(settings)
     database.migrate()
+    begin_time(database)
     capacity = Capacity.of_machine(settings, count_gpus())
     decoders = CapacityLimiter(settings.max_decoders)
     signer = open_signer(database, settings)
-    return Services(settings, database, _open_store(settings), Wakeups(), capacity, decoders, signer)
+    return Services(
+        settings, database, _open_store(settings, database), Wakeups(), capacity, decoders, signer
+    )
 
 
 def join_services(settings: Settings) -> Services:
     """Return the parts for a command that may run beside a server; nothing is created or migrated."""
     capacity = Capacity.of_machine(settings, 0)
-    return Services(settings, open_database(settings), _open_store(settings), Wakeups(), capacity)
+    database = open_database(settings)
+    begin_time(database)
+    return Services(settings, database, _open_store(settings, database), Wakeups(), capacity)
 
 
 def open_database(settings: Settings) -> Database:
@@ -92,8 +98,10 @@ def open_database(settings: Settings) -> Database:
     return Database(settings.database_url, pooled=settings.database_direct is not None)
 
 
-def _open_store(settings: Settings) -> BlobStore:
-    return BlobStore(settings.data / "store", settings.store, s3_options(settings))
+def _open_store(settings: Settings, database: Database) -> BlobStore:
+    store = BlobStore(settings.data / "store", settings.store, s3_options(settings))
+    store.checks.write = database.write
+    return store
 
 
 def s3_options(settings: Settings) -> S3Options | None:

@@ -43,6 +43,7 @@ from lambent_server.problems import Problem
 from lambent_server.reconciler import Reconciler
 from lambent_server.run_logs import LogCopier
 from lambent_server.s3 import StoreSetupError
+from lambent_server.scrubber import Scrubber
 from lambent_server.secrets import SecretError
 from lambent_server.serve_error import ServeError
 from lambent_server.services import Services, open_services
@@ -271,6 +272,8 @@ async def _serve(
     reconciler.start()
     compressor = Compressor(services, lambda: membership.leads)
     compressor.start()
+    scrubber = Scrubber(services, lambda: membership.leads)
+    scrubber.start()
     copier = LogCopier(services, membership)
     copier.start()
     if settings.trusted_proxies:
@@ -317,6 +320,7 @@ async def _serve(
     # Run processes that are asked to stop still commit their checkpoint, so their service stops after them.
     await asyncio.to_thread(controller.close, stop_runs=interrupted)
     await asyncio.to_thread(compressor.close)
+    await asyncio.to_thread(scrubber.close)
     await asyncio.to_thread(copier.close)
     await asyncio.to_thread(reconciler.close)
     await asyncio.to_thread(membership.close)

@@ -291,6 +291,10 @@ class Settings(BaseSettings):
     """Age at which bytes without a row, and folders of interrupted uploads, are removed."""
     reconcile_s: Seconds = 3600.0
     """Interval at which rows and files are compared."""
+    scrub_bytes_per_s: Size = 16 * MIB
+    """Rate at which the store is read to find damaged bytes; 0: only what is needed is compared."""
+    scrub_every_s: Seconds = 7 * 24 * 3600.0
+    """Time after which the same bytes are compared again."""
     open_scene_s: Seconds = 7 * 24 * 3600.0
     """Time for which an uncommitted upload is kept."""
 

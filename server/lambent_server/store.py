@@ -1,34 +1,45 @@
 """Blobs named by their SHA-256, in a local folder or any store that obstore supports."""
 
 import contextlib
+import errno
 import hashlib
 import os
+import secrets
+import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import obstore
-from obstore.exceptions import BaseError, NotFoundError
+from obstore.exceptions import BaseError, PermissionDeniedError
 from obstore.store import LocalStore, from_url
 from sqlalchemy import Connection
 
 from lambent_server import claims
 from lambent_server.clock import now
+from lambent_server.content_checks import (
+    BLOBS,
+    DAMAGED,
+    GZIP,
+    ContentChecks,
+    Version,
+    Write,
+    as_os_error,
+    pieces,
+)
 from lambent_server.database import schema
 from lambent_server.database.tenancy import Tenant, add_if_absent, change, rows
 from lambent_server.outside_text import sendable_media_type
 from lambent_server.problems import Problem
-from lambent_server.s3 import S3Bucket, S3Options, StoreUnavailableError
+from lambent_server.s3 import S3Bucket, S3Options
 
-CHUNK_BYTES = 1024 * 1024
 READ_TIMEOUT_S = 120.0
 """Longest time that a request to a store may take."""
-
-Write = Callable[[], AbstractContextManager[Connection]]
-"""Opens a transaction."""
+COMPARED_S = 20.0
+"""How long the contents of many files are compared before a client gets its answer."""
 
 
 class Admission(Protocol):
@@ -41,9 +52,8 @@ class Admission(Protocol):
         """Look in the transaction that has added the blob."""
 
 
-BLOBS = "blobs"
-GZIP = "gzip"
-"""Folders of the store: blobs, and compressed copies of some of them under the blob's name."""
+PROBES = "uploads/probe"
+PROBE_BYTES = 4096
 LOST = -1
 """In place of a copy's size where the blob's bytes are gone; the reconciler forgets it once they are back."""
 
@@ -80,12 +90,31 @@ class BlobStore:
                 (folder / name).mkdir(parents=True, exist_ok=True)
             _sync(folder)
             self._store = LocalStore(folder)
+        self.checks = ContentChecks(self._store, self.key)
         # A transaction waits for deletions, so these must not take long.
         self._deleter = (
             self._store if self.bucket is None else self.bucket.obstore(timeout_s=5, num_retries=0)
         )
         # Folder of a local store; other stores ensure the durability of their bytes themselves.
         self._folder = Path(self._store.prefix or "/") if isinstance(self._store, LocalStore) else None
+
+    def file_time(self) -> float:
+        """Return the time by which the store says when something was written (Unix seconds)."""
+        return time.time() if self._folder is None else file_time(self._folder)
+
+    def probe(self) -> str:
+        """Return "ok" if the store takes a few bytes; "full", "read-only" or "unavailable" if it does not."""
+        if self._folder is not None:
+            return probe_folder(self._folder)
+        name = f"{PROBES}/{secrets.token_hex(8)}"
+        try:
+            obstore.put(self._deleter, name, b"probe")
+            obstore.delete(self._deleter, name)
+        except PermissionDeniedError:
+            return "read-only"
+        except BaseError:
+            return "unavailable"
+        return "ok"
 
     @staticmethod
     def key(sha256: str, folder: str = BLOBS) -> str:
@@ -101,7 +130,7 @@ class BlobStore:
     def listed(self, digits: str, folder: str = BLOBS) -> dict[str, tuple[int, float]]:
         """Return size and modification time (Unix seconds) of blobs whose hashes begin with `digits`."""
         found: dict[str, tuple[int, float]] = {}
-        with _as_os_error():
+        with as_os_error():
             for batch in obstore.list(self._store, f"{folder}/{digits}"):
                 for each in batch:
                     name = each["path"].rpartition("/")[2]
@@ -175,23 +204,19 @@ class BlobStore:
             self.delete(write, sha256, token)
 
     def _has(self, sha256: str, size_bytes: int) -> bool:
-        if self.size(sha256) != size_bytes:
-            return False
         if self.bucket is not None:
-            # Unlike a disk, such a store checks what it keeps.
-            return True
-        digest = hashlib.sha256()
-        for piece in self.read(sha256, size_bytes):
-            digest.update(piece)
-        return digest.hexdigest() == sha256
+            return self.holds(sha256, size_bytes)
+        # Whoever sends a file again may know that its bytes have changed just now.
+        return self.size(sha256) == size_bytes and self.checks.matches(sha256)
 
     def put_copy(self, sha256: str, path: Path) -> None:
         """Store a blob's compressed copy, which a row names afterwards."""
         self._put(sha256, path, GZIP)
 
     def _put(self, sha256: str, path: Path, folder: str = BLOBS) -> None:
-        with _as_os_error():
+        with as_os_error():
             obstore.put(self._store, self.key(sha256, folder), path)
+        self.checks.changed(sha256)
         if self._folder is not None:
             file = self._folder / self.key(sha256, folder)
             # The bytes, their directory entry, and that of a folder that may be new.
@@ -200,17 +225,29 @@ class BlobStore:
 
     def size(self, sha256: str, folder: str = BLOBS) -> int | None:
         """Return the size of the blob in the store, or of its copy, or None if it does not exist."""
-        try:
-            with _as_os_error():
-                return int(obstore.head(self._store, self.key(sha256, folder))["size"])
-        except FileNotFoundError:
-            return None
+        version = self.checks.version(sha256, folder)
+        return None if version is None else version.size_bytes
+
+    def holds(self, sha256: str, size_bytes: int, folder: str = BLOBS) -> bool:
+        """Return whether the store has the bytes of a hash, or of its copy: all of them, and unchanged."""
+        return self.checks.check(sha256, size_bytes, folder) is not None
 
     def damaged(self, expected: Mapping[str, int]) -> list[str]:
-        """Return the expected hashes whose blobs are missing or have another size."""
+        """Return the expected hashes whose blobs are missing, have another size, or other bytes.
+
+        After `COMPARED_S` seconds only sizes are looked at: reading looks at the bytes as well.
+        """
+        until = time.monotonic() + COMPARED_S
+
+        def is_damaged(sha256: str) -> bool:
+            if time.monotonic() > until:
+                return self.size(sha256) != expected[sha256]
+            return not self.holds(sha256, expected[sha256])
+
         with ThreadPoolExecutor(16) as pool:
-            sizes = pool.map(self.size, expected)
-            return [sha256 for sha256, size in zip(expected, sizes, strict=True) if size != expected[sha256]]
+            return [
+                sha256 for sha256, lost in zip(expected, pool.map(is_damaged, expected), strict=True) if lost
+            ]
 
     def read(
         self,
@@ -223,10 +260,11 @@ class BlobStore:
     ) -> Iterator[bytes]:
         """Return the bytes from `start` up to (not including) `end`, in pieces; in `GZIP` those of the copy.
 
-        Raises `blob_damaged` if the store does not have all `size_bytes` of them, and OSError if it is
-        unavailable, both before the response to a client begins.
+        Raises `blob_damaged` if the store does not have all `size_bytes` of them or if they do not match the
+        hash, and OSError if it is unavailable, both before the response to a client begins.
         """
-        if self.size(sha256, folder) != size_bytes:
+        version = self.checks.check(sha256, size_bytes, folder)
+        if version is None:
             raise damaged(sha256)
         if end is not None and end <= start:
             return iter(())
@@ -234,9 +272,12 @@ class BlobStore:
         options: Any = (
             None if whole else {"range": (start, end)} if end is not None else {"range": {"offset": start}}
         )
-        with _as_os_error():
+        with as_os_error():
             result = obstore.get(self._store, self.key(sha256, folder), options=options)
-        return _pieces(result)
+        if Version.of(result.meta) != version:
+            # Others have taken the place of the bytes that were looked at.
+            return self.read(sha256, size_bytes, start, end, folder=folder)
+        return pieces(result)
 
     def read_all(self, sha256: str) -> bytes:
         """Return the whole blob; raises `blob_damaged` if its bytes do not match its hash."""
@@ -258,9 +299,11 @@ class BlobStore:
         return True
 
     def delete_bytes(self, sha256: str) -> None:
-        """Delete the bytes and their copy, whoever may need them."""
+        """Delete the bytes, their copy and what was set aside of them, whoever may need them."""
         # The copy first: without the bytes, nothing would say that it is there.
         self.delete_copy(sha256)
+        # Somebody's file, though with other bytes: it goes with whoever leaves.
+        self._delete(sha256, DAMAGED)
         self._delete(sha256, BLOBS)
 
     def delete_copy(self, sha256: str) -> None:
@@ -268,7 +311,7 @@ class BlobStore:
         self._delete(sha256, GZIP)
 
     def _delete(self, sha256: str, folder: str) -> None:
-        with contextlib.suppress(FileNotFoundError), _as_os_error():
+        with contextlib.suppress(FileNotFoundError), as_os_error():
             obstore.delete(self._deleter, self.key(sha256, folder))
 
 
@@ -277,10 +320,32 @@ def damaged(sha256: str) -> Problem:
     return Problem(
         410,
         "blob_damaged",
-        f"the bytes of blob {sha256} are missing from the server's store or incomplete; send the file "
-        "again, or rerun the job that produced it",
+        f"the bytes of blob {sha256} are missing from the server's store, incomplete or damaged; send the "
+        "file again, or rerun the job that produced it",
         headers={"cache-control": "no-store"},
     )
+
+
+def file_time(folder: Path) -> float:
+    """Return the time that a file which is written into a folder now gets (Unix seconds)."""
+    with tempfile.TemporaryFile(dir=folder) as file:
+        file.write(b"0")
+        file.flush()
+        return os.fstat(file.fileno()).st_mtime
+
+
+def probe_folder(folder: Path) -> str:
+    """Return "ok" if a file can be written in a folder; "full", "read-only" or "unwritable" if it cannot."""
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(PROBE_BYTES))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return "full"
+        return "read-only" if error.errno == errno.EROFS else "unwritable"
+    return "ok"
 
 
 def _sync(path: Path) -> None:
@@ -290,24 +355,6 @@ def _sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-@contextlib.contextmanager
-def _as_os_error() -> Iterator[None]:
-    """Convert a store's exceptions into OSError, which the rest of the server handles."""
-    try:
-        yield
-    except NotFoundError as error:
-        raise FileNotFoundError(str(error)) from error
-    except BaseError as error:
-        # Whatever it is, another attempt may succeed: the rights were checked at the start.
-        raise StoreUnavailableError(str(error).splitlines()[0]) from error
-
-
-def _pieces(result: Any) -> Iterator[bytes]:
-    with _as_os_error():
-        for chunk in result.stream(CHUNK_BYTES):
-            yield bytes(chunk)
 
 
 def touch(connection: Connection, tenant: Tenant, sha256: str) -> int | None:

@@ -33,9 +33,12 @@ def store(
         float | None,
         typer.Option(help="Age at which it counts as left over; LAMBENT_ORPHAN_AFTER_S by default.", min=0.0),
     ] = None,
+    content: Annotated[
+        bool, typer.Option("--content", help="Also read all bytes and compare them with their hashes.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
 ) -> None:
-    """Compare rows and files of a server, whether it is running or not. Exit code 1 if files are lost."""
+    """Compare rows and files of a server, running or not. Exit code 1 if files are lost or damaged."""
     from obstore.exceptions import BaseError
     from sqlalchemy.exc import SQLAlchemyError
 
@@ -52,7 +55,7 @@ def store(
     try:
         services = join_services(settings)
         with closing(services.database):
-            found = examine(services)
+            found = examine(services, contents=content)
             if action is StoreAction.CLEAN:
                 if found.is_foreign:
                     typer.echo(
@@ -62,17 +65,19 @@ def store(
                     )
                     raise typer.Exit(2)
                 repair(services, found)
+                for sha256 in found.damaged:
+                    services.store.checks.set_aside(sha256)
                 with services.database.write() as connection:
                     audit.record(connection, operator(audit.SERVER), "store clean")
     except (SQLAlchemyError, BaseError, ValueError, OSError) as error:
         typer.echo(f"store.failed: {str(error).splitlines()[0]}", err=True)
         raise typer.Exit(2) from error
-    _tell(found, removed=action is StoreAction.CLEAN, as_json=as_json)
-    if found.lost:
+    _tell(found, removed=action is StoreAction.CLEAN, content=content, as_json=as_json)
+    if found.lost or found.damaged:
         raise typer.Exit(1)
 
 
-def _tell(found: "Findings", *, removed: bool, as_json: bool) -> None:
+def _tell(found: "Findings", *, removed: bool, content: bool, as_json: bool) -> None:
     if as_json:
         typer.echo(
             json.dumps(
@@ -84,6 +89,7 @@ def _tell(found: "Findings", *, removed: bool, as_json: bool) -> None:
                     "staged": sorted(found.staged),
                     "parts": sorted(key for key, _ in found.parts),
                     "lost": sorted(found.lost),
+                    **({"damaged": sorted(found.damaged)} if content else {}),
                 }
             )
         )
@@ -98,5 +104,8 @@ def _tell(found: "Findings", *, removed: bool, as_json: bool) -> None:
         f"{len(found.staged)} sent and never taken over, {done}",
         f"{len(found.parts)} uploads in parts never completed, {done}",
         f"{len(found.lost)} lost" + "".join(f"\n  {sha256}" for sha256 in found.lost),
+        f"{len(found.damaged)} with damaged contents" + "".join(f"\n  {sha256}" for sha256 in found.damaged)
+        if content
+        else "contents were not read; --content compares them with their hashes",
     ):
         typer.echo(line)

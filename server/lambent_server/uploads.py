@@ -1,5 +1,6 @@
 """File uploads: hashed while they are written to the scratch folder, and deleted if anything fails."""
 
+import errno
 import hashlib
 import os
 import tempfile
@@ -53,6 +54,9 @@ async def received(services: Services, request: Request, max_bytes: int) -> Asyn
     except StoreUnavailableError:
         raise
     except OSError as error:
+        if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
+            # A disk that became read-only, for example.
+            raise StoreUnavailableError(str(error.strerror)) from error
         raise Problem(507, "disk_full", "the file could not be written", retryable=True) from error
     finally:
         path.unlink(missing_ok=True)

@@ -6,9 +6,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, func, select, update
+from sqlalchemy import ColumnElement, Connection, func, or_, select, update
 
-from lambent_server.clock import now
+from lambent_server.clock import JUMP_S, now
 from lambent_server.database.engine import Database
 from lambent_server.database.service_schema import webhook_deliveries, webhook_secrets, webhooks
 from lambent_server.database.tenancy import Tenant, across_tenants, rows
@@ -41,6 +41,16 @@ def lease_s(settings: Settings) -> float:
     return 3 * settings.webhook_timeout_s
 
 
+def is_due(settings: Settings) -> ColumnElement[bool]:
+    """Return the condition that a delivery is due.
+
+    A time that is further away than any wait was told by a clock that has been set back since.
+    """
+    at, longest_s = now(), max(settings.webhook_give_up_s, lease_s(settings))
+    next_at = webhook_deliveries.c.next_at
+    return or_(next_at <= at, next_at > at + longest_s + JUMP_S)
+
+
 def claim(database: Database, settings: Settings, room: int, busy: Mapping[str, int]) -> list[dict[str, Any]]:
     """Return up to `room` due deliveries, which belong to the caller until it reports their outcome.
 
@@ -54,7 +64,7 @@ def claim(database: Database, settings: Settings, room: int, busy: Mapping[str, 
         across_tenants(
             webhook_deliveries, webhook_deliveries.c.id, webhook_deliveries.c.host, place.label("place")
         )
-        .where(webhook_deliveries.c.next_at <= now(), webhook_deliveries.c.host.not_in(full))
+        .where(is_due(settings), webhook_deliveries.c.host.not_in(full))
         .subquery()
     )
     first = select(due.c.id, due.c.host).where(due.c.place <= settings.webhook_per_host)
@@ -70,9 +80,7 @@ def claim(database: Database, settings: Settings, room: int, busy: Mapping[str, 
 
 def _take(database: Database, settings: Settings, chosen: Collection[str]) -> list[dict[str, Any]]:
     """Mark those of the chosen deliveries that are still due and that no other server takes right now."""
-    due = across_tenants(webhook_deliveries).where(
-        webhook_deliveries.c.id.in_(chosen), webhook_deliveries.c.next_at <= now()
-    )
+    due = across_tenants(webhook_deliveries).where(webhook_deliveries.c.id.in_(chosen), is_due(settings))
     token = secrets.token_hex(8)
     with database.write() as connection:
         taken = connection.execute(due.with_for_update(skip_locked=True)).mappings().all()

@@ -14,6 +14,7 @@ import httpx2
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
+from lambent_server.outages import report
 from lambent_server.service_metrics import ATTEMPTS
 from lambent_server.services import Services
 from lambent_server.settings import Settings
@@ -78,9 +79,9 @@ class Sender:
                     for row in await self._claimed():
                         self._busy[row["host"]] += 1
                         group.create_task(self._handle(client, row))
-                except (SQLAlchemyError, OSError):
+                except (SQLAlchemyError, OSError) as error:
                     # The database is unavailable; the rows are still due once it is back.
-                    log.exception("webhooks_not_read")
+                    report("webhooks_not_read", error)
                 await asyncio.sleep(self._settings.webhook_poll_s)
 
     async def _claimed(self) -> list[dict[str, Any]]:

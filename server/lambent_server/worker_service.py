@@ -17,16 +17,17 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server import run_reports, worker_uploads
 from lambent_server.clock import now
+from lambent_server.content_checks import CHUNK_BYTES
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.executors import is_placed, run_name
-from lambent_server.http.middleware import away
 from lambent_server.job_rows import CANCELLING, ENDED, HAS_RUN, SUCCEEDED, Job, owner, set_fields
+from lambent_server.outages import away
 from lambent_server.outcomes import requeue, succeed
 from lambent_server.problems import Problem
 from lambent_server.secrets import is_token_of
 from lambent_server.services import Services
-from lambent_server.store import CHUNK_BYTES, Blob, find_blob, hash_file
+from lambent_server.store import Blob, find_blob, hash_file
 from lambent_server.worker_certificates import Certificate
 from lambent_server.worker_gate import THREADS, Gatekeeper, Shares
 
@@ -249,11 +250,15 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def LocateBlob(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Return where to read a file that the job's tenant may read."""
 
-        def act(connection: Connection, job: Job) -> Message:
-            blob = _require_blob(connection, job, request.sha256)
-            return worker_pb2.LocateBlobResponse(url=worker_uploads.locate(self._services, blob))
+        def act(connection: Connection, job: Job) -> Blob:
+            return _require_blob(connection, job, request.sha256)
 
-        return self._answer(context, request.fence, act, signal=False)
+        blob = self._answer(context, request.fence, act, signal=False)
+        try:
+            # Not in the transaction: the bytes may have to be read first.
+            return worker_pb2.LocateBlobResponse(url=worker_uploads.locate(self._services, blob))
+        except (Problem, OSError) as error:
+            _abort(context, error)
 
     def CommitCheckpoint(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Store a checkpoint as the newest one."""

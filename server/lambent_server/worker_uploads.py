@@ -9,7 +9,7 @@ from lambent_server.database.tenancy import Tenant
 from lambent_server.direct import direct_uploads
 from lambent_server.problems import Problem, invalid
 from lambent_server.services import Services
-from lambent_server.store import Blob, touch
+from lambent_server.store import Blob, damaged, touch
 
 
 class BrokenUploadError(Exception):
@@ -36,7 +36,7 @@ def plan(
     with services.database.write() as connection:
         claims.claim(connection, tenant, request.sha256)
         known = touch(connection, tenant, request.sha256) == size_bytes
-    if known and services.store.size(request.sha256) == size_bytes:
+    if known and services.store.holds(request.sha256, size_bytes):
         return worker_pb2.PlanUploadResponse(stored=True, direct=True)
     offers = direct.offers(tenant, {request.sha256: size_bytes})
     return worker_pb2.PlanUploadResponse(
@@ -79,4 +79,8 @@ def locate(services: Services, blob: Blob) -> str:
     """Return where to read a blob; empty if only this server sends it."""
     if not services.settings.store_direct:
         return ""
-    return services.store.address(blob, services.settings.store_url_s) or ""
+    address = services.store.address(blob, services.settings.store_url_s)
+    # Without an address it is found out when the bytes are read.
+    if address is not None and not services.store.holds(blob.sha256, blob.size_bytes):
+        raise damaged(blob.sha256)
+    return address or ""

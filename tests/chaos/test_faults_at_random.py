@@ -29,10 +29,12 @@ from lambent_server.s3 import S3Options
 from lambent_server.serving import free_port
 from lambent_server.store import BlobStore
 from sqlalchemy import create_engine
+from support.flipped_bits import FlippedBits
 from support.invariants import broken
 from support.live_server import FINAL, LiveServer, wait_until
 from support.own_postgresql import OwnPostgreSQL
 from support.s3_server import S3Server, with_credentials
+from support.set_clock import SetClock
 
 pytestmark = pytest.mark.slow
 FAULTS = int(os.environ.get("LAMBENT_CHAOS_FAULTS", "8"))
@@ -41,7 +43,13 @@ PAUSE_S = float(os.environ.get("LAMBENT_CHAOS_PAUSE_S", "0.4"))
 JOB_EVERY_S = float(os.environ.get("LAMBENT_CHAOS_JOB_EVERY_S", "0.5"))
 AWAY_S = float(os.environ.get("LAMBENT_CHAOS_AWAY_S", "1.5"))
 SERVER_EVERY = int(os.environ.get("LAMBENT_CHAOS_SERVER_EVERY", "0"))
-ENDS_OF_SERVERS = ("the server killed", "the server ended")
+ENDS_OF_SERVERS = (
+    "the server killed",
+    "the server ended",
+    "the clock set while the server is down",
+    "a bit flipped while the server is down",
+)
+CLOCK_JUMP_S = 600
 UNLIMITED = 1_000_000
 ORPHAN_AFTER_S = 4.0
 SETTINGS = {
@@ -55,17 +63,22 @@ SETTINGS = {
 
 
 @dataclass
-class World:
+class World(FlippedBits):
     """A server, what it stands on, and the jobs that it has accepted."""
 
     server: LiveServer
     database: str
     store: BlobStore
+    clock: SetClock
     postgresql: OwnPostgreSQL | None = None
     s3: S3Server | None = None
     accepted: list[str] = field(default_factory=list)
     broken_off: bool = False
     """Whether the test has failed, so that nobody waits for a server that is not there."""
+    folder: Path = field(default_factory=Path)
+    """Of the bytes in the store, where it is one."""
+    spare: bytes = b""
+    """A file of a capture that no job uses."""
     done: Counter[str] = field(default_factory=Counter)
     choice: random.Random = field(default_factory=lambda: random.Random(SEED))  # noqa: S311
 
@@ -119,6 +132,12 @@ class World:
             "a run stopped for a while": self.freeze_run,
             "the server killed": self.kill_server,
             "the server ended": self.end_server,
+            "the clock set back": lambda: self.set_clock(-CLOCK_JUMP_S),
+            "the clock set forward": lambda: self.set_clock(CLOCK_JUMP_S),
+            "the clock set while the server is down": self.set_clock_between,
+            "a bit of a checkpoint flipped": self.flip_checkpoint,
+            "a bit of a capture flipped": self.flip_capture,
+            "a bit flipped while the server is down": self.flip_between,
         }
         if self.postgresql is not None:
             possible["PostgreSQL stopped"] = self.stop_postgresql
@@ -127,6 +146,16 @@ class World:
         if self.s3 is not None:
             possible["the store away"] = self.take_store_away
         return possible
+
+    def set_clock(self, seconds: int) -> None:
+        """Set the clock of the server by ten minutes, and at most so far from the right time."""
+        there = self.clock.offset_s + seconds
+        self.clock.set(there if abs(there) <= CLOCK_JUMP_S else 0)
+
+    def set_clock_between(self) -> None:
+        self.server.kill()
+        self.set_clock(self.choice.choice([-1, 1]) * CLOCK_JUMP_S)
+        self.server.start()
 
     def kill_one(self) -> None:
         alive = self.alive()
@@ -258,11 +287,16 @@ def world(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[World]:
             s3.client().create_bucket(Bucket="bucket")
             settings |= {"store": "s3://bucket/chaos", "store_endpoint": s3.url, "store_region": "us-east-1"}
             options = S3Options(url="s3://bucket/chaos", endpoint=s3.url, region="us-east-1")
+        clock = SetClock(tmp_path / "clock")
+        settings["environment"] = clock.environment
+        settings["scrub_every_s"] = 2.0
         server = stack.enter_context(LiveServer(data, **settings))
         store = BlobStore(data / "store", s3=options)
         sqlite = f"sqlite:///{data / 'lambent.sqlite'}"
         url = sqlite if postgresql is None else postgresql.url.replace("postgresql:", "postgresql+psycopg:")
-        yield World(server, url, store, postgresql, s3)
+        world = World(server, url, store, clock, postgresql, s3, folder=data / "store")
+        world.spare = world.choice.randbytes(300_000)
+        yield world
 
 
 @pytest.mark.timeout(300 + 60 * FAULTS)
@@ -277,6 +311,7 @@ def world(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[World]:
 )
 def test_promises_hold_after_faults_of_every_kind(world: World):
     scene, ended = world.server.scene(), threading.Event()
+    world.push_spare()
     submitter = threading.Thread(target=world.submit_until, args=(ended, scene))
     memory = MemoryLog(world.server)
     watcher = threading.Thread(target=memory.watch_until, args=(ended,))
@@ -311,6 +346,7 @@ def test_promises_hold_after_faults_of_every_kind(world: World):
     assert set(jobs) == set(world.accepted), "one accepted twice, or lost"
     assert counts == {"succeeded": len(jobs)}
     assert runs > len(jobs), "no fault hit a run"
+    world.clock.set(0)
     # What was in transit when a process was killed is removed at the next start, once it is old enough.
     time.sleep(ORPHAN_AFTER_S)
     world.end_server()

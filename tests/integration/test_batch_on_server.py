@@ -17,6 +17,7 @@ from lambent.cli import app
 from lambent_relight import cameras_json, turntable, write_environment
 from lambent_relight.batch.reading import read_manifest
 from lambent_server.render_messages import NewBatch
+from lambent_server.store import BlobStore
 from PIL import Image
 from support.live_server import LiveServer, wait_until
 
@@ -58,6 +59,16 @@ def sky(tmp_path):
     radiance[:4] = (0.2, 0.4, 0.6)
     write_environment(tmp_path / "sky.exr", radiance)
     return tmp_path / "sky.exr"
+
+
+def test_an_environment_that_was_damaged_in_the_store_is_sent_again(server, client, sky):
+    first = client.push_environment(sky)
+    path = server.data / "store" / BlobStore.key(first.sha256)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    again = client.push_environment(sky)
+    assert (again.sha256, again.name) == (first.sha256, first.name)
+    assert path.read_bytes() == whole
 
 
 def test_a_render_is_a_job_whose_artifacts_are_pictures(client, bundle_id, sky, tmp_path):

@@ -49,6 +49,51 @@ def test_the_lead_passes_on_when_the_leader_is_silent_and_terms_are_counted(data
     assert not first.beat()
 
 
+def test_a_silent_leader_is_followed_though_the_clock_of_the_database_was_set_back(database: Database):
+    first, second = (Leadership(database, name, 0.5) for name in ("a", "b"))
+    assert first.beat()
+    assert not second.beat()
+    with database.write() as connection:
+        connection.execute(text("UPDATE leadership SET expires_at = expires_at + 600"))
+    # As often as a leader that lives.
+    began = time.monotonic()
+    while not second.beat():
+        assert time.monotonic() - began < 5.0
+        time.sleep(0.05)
+    assert time.monotonic() - began > 0.5
+    assert not first.is_held
+    # And the new one is obeyed as long as it beats.
+    first.beat()
+    for _ in range(8):
+        time.sleep(0.1)
+        assert second.beat()
+        assert not first.beat()
+
+
+def test_a_dead_server_does_not_live_on_when_the_clock_of_the_database_was_set_back(
+    database: Database, tmp_path: Path
+):
+    made = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        settings = Settings(data=tmp_path / name, server_lost_after_s=0.5)
+        made.append(Membership(database, settings, host=name))
+    first, second = made
+    second.beat()
+    with database.write() as connection:
+        connection.execute(text("UPDATE servers SET expires_at = expires_at + 600, beat_at = beat_at + 600"))
+
+    def is_alone() -> bool:
+        first.beat()
+        return not first.is_alive(second.id)
+
+    first.beat()
+    assert first.is_alive(second.id)
+    wait_until(is_alone, timeout_s=5.0)
+    for each in made:
+        each.close()
+
+
 def test_a_leader_that_ends_need_not_be_waited_for(database: Database):
     first, second = (Leadership(database, name, 60.0) for name in ("a", "b"))
     assert first.beat()

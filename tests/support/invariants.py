@@ -35,7 +35,7 @@ QUERIES = {
     "P3 a checkpoint that is older than the one before": """
         SELECT later.id FROM checkpoints later JOIN checkpoints earlier
         ON earlier.job_id = later.job_id AND earlier.stage = later.stage
-        WHERE earlier.created_at < later.created_at AND earlier.step > later.step""",
+        WHERE earlier.number < later.number AND earlier.step > later.step""",
     "P4 ended and yet something happened": f"""
         SELECT later.job_id FROM events ended JOIN events later
         ON later.job_id = ended.job_id AND later.seq > ended.seq

@@ -48,8 +48,11 @@ def wait_until(condition: Any, timeout_s: float = 90.0) -> Any:
 class LiveServer:
     """Starts, kills and restarts one server on one data folder, and is a client of it."""
 
-    def __init__(self, data: Path, *, key: str = "", **settings: Any) -> None:
+    def __init__(
+        self, data: Path, *, key: str = "", environment: dict[str, str] | None = None, **settings: Any
+    ) -> None:
         self.data = data
+        self.environment = environment or {}
         self.key = key
         self.settings = {**FAST, **settings}
         self.process: subprocess.Popen[bytes] | None = None
@@ -74,7 +77,7 @@ class LiveServer:
 
     def start(self) -> None:
         """Start the server and wait until it answers."""
-        environment = dict(os.environ)
+        environment = {**os.environ, **self.environment}
         environment["LAMBENT_RUN_COMMAND"] = json.dumps([sys.executable, str(SLEEP_TRAINER), "run"])
         for name, value in self.settings.items():
             environment[f"LAMBENT_{name.upper()}"] = value if isinstance(value, str) else json.dumps(value)

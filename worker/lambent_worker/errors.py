@@ -53,6 +53,19 @@ class SceneRefusedError(WorkerError):
         return cls(scene_pb2.SceneReport(usable=False, layout=layout, findings=findings))
 
 
+class InputDamagedError(WorkerError):
+    """The server does not have the bytes of an input any more, or other ones."""
+
+    @classmethod
+    def of(cls, path: str, reason: str, *, is_scene: bool) -> "InputDamagedError":
+        """Return the error of an input file, of a capture or of another kind; `reason` is the server's."""
+        if is_scene:
+            code, remedy = "scene.file_damaged", "push the same capture again, which sends what is missing"
+        else:
+            code, remedy = "input.file_damaged", "upload it again, or run the job that made it again"
+        return cls(code, f"{path}: the server's copy is missing or damaged ({reason}); {remedy}, then submit")
+
+
 class Stopped(WorkerError):  # noqa: N818 - not a mistake of anyone
     """The run was asked to end; a checkpoint holds everything that was reached."""
 

@@ -7,7 +7,7 @@ from typing import Any
 from uuid import uuid4
 
 from lambent.connection import Connection
-from lambent.errors import UsageProblemError
+from lambent.errors import RefusedError, UsageProblemError
 from lambent.file_hash import file_sha256
 from lambent.models import Artifact, Environment
 
@@ -31,9 +31,21 @@ def post(connection: Connection, path: str, body: Mapping[str, Any], idempotency
     return connection.json("POST", path, json=dict(body), headers=headers)
 
 
+def _is_damaged(connection: Connection, sha256: str) -> bool:
+    """Return whether the server has lost the bytes of a file that it knows."""
+    try:
+        connection.send("GET", f"/v1/blobs/{sha256}", headers={"Range": "bytes=0-0"})
+    except RefusedError as error:
+        if error.code != "blob_damaged":
+            raise
+        return True
+    return False
+
+
 def push_environment(connection: Connection, source: Path, *, name: str = "") -> Environment:
     """Return the environment of a file, uploaded unless the server has these bytes under that name.
 
+    Bytes that were damaged in the server's store are sent again, which repairs whatever uses them.
     Raises `environment.missing` where there is no such file.
     """
     if not source.is_file():
@@ -41,7 +53,7 @@ def push_environment(connection: Connection, source: Path, *, name: str = "") ->
     name = name or source.name
     digest = file_sha256(source)
     for item in connection.json("GET", "/v1/environments")["items"]:
-        if (item["sha256"], item["name"]) == (digest, name):
+        if (item["sha256"], item["name"]) == (digest, name) and not _is_damaged(connection, digest):
             return Environment.from_json(item)
 
     answer = connection.upload("POST", "/v1/environments", source, params={"name": name})

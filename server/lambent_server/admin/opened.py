@@ -27,6 +27,7 @@ def opened(
     from pydantic import ValidationError
     from sqlalchemy.exc import SQLAlchemyError
 
+    from lambent_server.database.latest_time import begin_time
     from lambent_server.executors.local import count_gpus
     from lambent_server.problems import Problem
     from lambent_server.secrets import SecretError
@@ -41,6 +42,7 @@ def opened(
         raise typer.Exit(2)
     rows = open_database(settings)
     try:
+        begin_time(rows)
         blobs = BlobStore(
             settings.data / "store", settings.store, s3_options(settings) if with_store else None
         )

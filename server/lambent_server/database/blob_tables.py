@@ -14,5 +14,8 @@ blob_claims = Table(
     # Changes when a deletion begins, so that a writer notices one that came in between.
     Column("token", Text, nullable=False),
     Column("claimed_at", Double, nullable=False),
+    # When the scrubber compared the bytes with the hash; 0: never.
+    Column("checked_at", Double, nullable=False, server_default="0"),
     Index(None, "state"),
+    Index(None, "checked_at"),
 )

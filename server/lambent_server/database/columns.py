@@ -1,7 +1,5 @@
 """The kinds of columns that tables have, the registry of all tables, and the clock of the database."""
 
-import time
-
 from sqlalchemy import (
     Column,
     ColumnElement,
@@ -14,7 +12,10 @@ from sqlalchemy import (
     extract,
     func,
     literal,
+    select,
 )
+
+from lambent_server.clock import now
 
 metadata = MetaData(
     naming_convention={
@@ -55,8 +56,18 @@ def optional_time_column(name: str) -> Column[float | None]:
     return Column(name, Double)
 
 
+def next_number(connection: Connection, column: Column[int]) -> ColumnElement[int]:
+    """Return the expression of a number that is larger than every one before it in `column`.
+
+    PostgreSQL counts with a sequence, which the migration makes; SQLite has one writer.
+    """
+    if connection.dialect.name == "postgresql":
+        return func.nextval(f"{column.table.name}_{column.name}")
+    return select(func.coalesce(func.max(column), 0) + 1).scalar_subquery()
+
+
 def clock_time(connection: Connection) -> ColumnElement[float]:
     """Return the expression of the time now (Unix seconds), by the one clock that all servers share."""
     if connection.dialect.name == "postgresql":
         return cast(extract("epoch", func.clock_timestamp()), Double)
-    return literal(time.time(), Double)
+    return literal(now(), Double)

@@ -8,18 +8,27 @@ from typing import Any
 from urllib.parse import quote
 
 import structlog
-from sqlalchemy import Connection, Engine, create_engine, event, inspect, text
+from sqlalchemy import Connection, Engine, ExceptionContext, create_engine, event, inspect, text
 from sqlalchemy.engine import make_url
+from sqlalchemy.exc import DBAPIError
 
 log = structlog.get_logger()
 
 BUSY_MS = 30_000
 ANALYZED_ROWS = 1000
 _MIGRATION_LOCK = 0x1A4BE49
+_READ_ONLY_STATE = "25006"
+READ_ONLY = "read-only"
 
 
 class SchemaTooNewError(Exception):
     """The tables were changed by a newer version that does not serve this one any more."""
+
+
+def is_read_only(error: DBAPIError) -> bool:
+    """Return whether an error says that the database accepts no changes, as a standby does."""
+    state, number = getattr(error.orig, "sqlstate", None), getattr(error.orig, "sqlite_errorcode", 0)
+    return state == _READ_ONLY_STATE or number & 0xFF == sqlite3.SQLITE_READONLY
 
 
 class Database:
@@ -37,6 +46,8 @@ class Database:
             self.engine = create_engine(
                 url, pool_size=20, max_overflow=20, pool_pre_ping=True, connect_args=arguments
             )
+            # After a failover the address may lead to another server, but these connections to the old one.
+            event.listen(self.engine, "handle_error", _leave_read_only)
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
@@ -61,21 +72,29 @@ class Database:
     def probe(self, timeout_s: float) -> str:
         """Return "ok" if the database accepts a write, "locked" if it does not within `timeout_s`.
 
-        Raises the driver's exception if the database is unavailable.
+        "read-only" is a standby, or a database that an operator has closed to changes. Raises the driver's
+        exception if the database is unavailable.
         """
         if not self.is_sqlite:
             with self.read() as connection:
-                connection.execute(text("SELECT 1"))
+                closed = connection.execute(text("SELECT current_setting('transaction_read_only')")).scalar()
+                if closed == "on":
+                    connection.invalidate()
+                    return READ_ONLY
             return "ok"
         # Not from the pool, whose connections may all be waiting for the lock.
         uri = f"file:{quote(str(self.url.database))}?mode=rw"
         with closing(sqlite3.connect(uri, uri=True, timeout=timeout_s, isolation_level=None)) as raw:
             try:
                 raw.execute("BEGIN IMMEDIATE")
+                # Only a statement that writes notices that the file is read-only.
+                raw.execute("DELETE FROM alembic_version WHERE 0")
                 raw.execute("ROLLBACK")
             except sqlite3.OperationalError as error:
                 if error.sqlite_errorcode == sqlite3.SQLITE_BUSY:
                     return "locked"
+                if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_READONLY:
+                    return READ_ONLY
                 raise
         return "ok"
 
@@ -147,6 +166,13 @@ def _is_served_by_newer(connection: Connection, head: str) -> bool:
         )
     log.warning("schema_newer", found=current, known=head, compatible_from=compatible_from)
     return True
+
+
+def _leave_read_only(context: ExceptionContext) -> None:
+    """Let the pool connect anew after a refused change, as it does after a broken connection."""
+    error = context.sqlalchemy_exception
+    if isinstance(error, DBAPIError) and is_read_only(error):
+        context.is_disconnect = True
 
 
 def _sqlite(url: str) -> Engine:

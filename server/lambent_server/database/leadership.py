@@ -10,7 +10,7 @@ import contextlib
 import time
 
 import structlog
-from sqlalchemy import Connection, case, text, update
+from sqlalchemy import ColumnElement, Connection, case, false, select, text, update
 from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server.database.cluster_schema import leadership
@@ -32,6 +32,9 @@ class Leadership:
         self._lease_s = lease_s
         self._until = 0.0
         self._held = database.is_sqlite
+        self._seen: tuple[str, float] | None = None
+        """Who led at the last look and until when it had said that, which changes with every beat of it."""
+        self._seen_since = 0.0
         self.term = 0
         """Which leader this server is or was, counted from 1."""
 
@@ -49,9 +52,10 @@ class Leadership:
         mine = leadership.c.holder == self._holder
         with self._database.write() as connection:
             current = clock_time(connection)
+            ended = (leadership.c.expires_at < current) | self._is_unchanged(connection, began)
             statement = (
                 update(leadership)
-                .where(leadership.c.name == "leader", mine | (leadership.c.expires_at < current))
+                .where(leadership.c.name == "leader", mine | ended)
                 .values(
                     holder=self._holder,
                     term=case((mine, leadership.c.term), else_=leadership.c.term + 1),
@@ -67,6 +71,20 @@ class Leadership:
         self.term = term or self.term
         self._until = began + self._lease_s if held else 0.0
         return held
+
+    def _is_unchanged(self, connection: Connection, at: float) -> ColumnElement[bool]:
+        """Return the condition that the leader was silent for a whole lease, by this server's own clock.
+
+        Its lease has ended then, whatever the database's clock shows, which may have been set back.
+        """
+        row = select(leadership.c.holder, leadership.c.expires_at).where(leadership.c.name == "leader")
+        found = connection.execute(row).one_or_none()
+        seen = None if found is None else (str(found[0]), float(found[1]))
+        if seen is None or seen != self._seen:
+            self._seen, self._seen_since = seen, at
+        if seen is None or at - self._seen_since <= self._lease_s:
+            return false()
+        return (leadership.c.holder == seen[0]) & (leadership.c.expires_at == seen[1])
 
     def release(self) -> None:
         """End the lease now, so that another server takes over at once."""

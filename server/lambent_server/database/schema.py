@@ -262,11 +262,14 @@ checkpoints = Table(
     _text("stage"),
     _count("step"),
     _time("created_at"),
+    # The order in which they were committed, whatever clocks say
+    Column("number", BigInteger, nullable=False, server_default="0"),
     Column("manifest", JSON, nullable=False),
     # The scene that it is kept with; null if it goes with the job.
     _optional_text("scene_id"),
     Index(None, "job_id"),
     Index(None, "scene_id"),
+    Index(None, "number"),
 )
 
 checkpoint_files = Table(

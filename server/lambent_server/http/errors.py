@@ -9,7 +9,8 @@ from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
-from lambent_server.http.middleware import INTERNAL, away
+from lambent_server.http.middleware import INTERNAL
+from lambent_server.outages import away
 from lambent_server.problems import MEDIA_TYPE, Detail, Problem
 
 log = structlog.get_logger()

@@ -9,14 +9,7 @@ from urllib.parse import SplitResult, quote, urlsplit
 
 import structlog
 from anyio import to_thread
-from sqlalchemy.exc import (
-    DBAPIError,
-    InterfaceError,
-    OperationalError,
-    PendingRollbackError,
-    SQLAlchemyError,
-)
-from sqlalchemy.exc import TimeoutError as PoolTimeoutError
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.datastructures import Headers
 
 from lambent_server.accounts import audit
@@ -30,9 +23,9 @@ from lambent_server.http.login_header import LOGIN_NAME
 from lambent_server.http.rates import Rates
 from lambent_server.http.rechecks import Identify, Rechecks
 from lambent_server.http.request import PUBLIC, SAFE, App, Exchange, Receive, Scope, Send
+from lambent_server.outages import away
 from lambent_server.outside_text import check_target
 from lambent_server.problems import Problem
-from lambent_server.s3 import StoreUnavailableError
 from lambent_server.secrets import sha256_text
 from lambent_server.services import Services
 from lambent_server.shares import COOKIE as SHARE_COOKIE
@@ -41,7 +34,6 @@ from lambent_server.shares import bundle_read, frame_ancestors, is_active, is_to
 log = structlog.get_logger()
 
 CSRF_HEADER = "x-lambent-csrf"
-_AWAY = (OperationalError, InterfaceError, PendingRollbackError, PoolTimeoutError)
 # Refusals of what somebody may not do; mistakes in requests are not recorded.
 _RECORDED = frozenset({"scope_missing", "key_needed", "csrf"})
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(:\d{1,5})?", re.ASCII)
@@ -111,8 +103,11 @@ class Gate:
         try:
             with self._services.database.write() as connection:
                 audit.record(connection, who, action, scope["path"], outcome=code)
-        except (SQLAlchemyError, Problem):
-            log.exception("refusal_not_recorded", request=who.request_id, code=code)
+        except (SQLAlchemyError, Problem) as error:
+            if away(error) is None:
+                log.exception("refusal_not_recorded", request=who.request_id, code=code)
+            else:
+                log.warning("refusal_not_recorded", request=who.request_id, code=code)
 
     async def _answer(self, request: Exchange, place: Place, scope: Scope, headers: Headers) -> None:
         check_target(scope.get("raw_path") or quote(scope["path"]).encode(), scope["query_string"])
@@ -249,13 +244,3 @@ def _address(text: str, header: str) -> SplitResult:
 
 
 INTERNAL = Problem(500, "internal", "internal error; see the server's log", retryable=True)
-
-
-def away(error: Exception) -> Problem | None:
-    """Return the response to an error that says that the database or the store is away; None for others."""
-    broken = isinstance(error, DBAPIError) and error.connection_invalidated
-    if broken or isinstance(error, _AWAY):
-        return Problem(503, "database_unavailable", "the database does not answer", retryable=True)
-    if isinstance(error, StoreUnavailableError):
-        return Problem(503, "store_unavailable", "the store of files does not answer", retryable=True)
-    return None

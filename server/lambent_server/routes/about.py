@@ -107,6 +107,8 @@ async def get_readiness(request: Request) -> JSONResponse:
     well = all(value == "ok" for value in checks.values())
     reconciler = getattr(request.app.state, "reconciler", None)
     missing = 0 if reconciler is None else reconciler.num_missing
+    # Those that were found damaged since the reconciler looked are missing from then on.
+    missing = max(missing, len(services.store.checks.damaged))
     checks["files"] = f"{missing} missing" if missing else "ok"
     layers = getattr(request.app.state, "sandbox", None)
     if layers is not None:

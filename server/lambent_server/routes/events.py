@@ -2,6 +2,7 @@
 
 import random
 import re
+import time
 from collections.abc import AsyncIterator, Sequence
 from contextlib import ExitStack
 from typing import Annotated
@@ -264,7 +265,7 @@ class _Stream:
         """Yield messages until the client disconnects, loses its access or the server stops."""
         wakeups, ping_s = self._services.wakeups, self._services.settings.stream_ping_s
         # So that streams that began together do not send their pings together.
-        next_ping = now() + random.uniform(0.5, 1.0) * ping_s  # noqa: S311
+        next_ping = time.monotonic() + random.uniform(0.5, 1.0) * ping_s  # noqa: S311
         # As seldom as pings, also where there is always news.
         next_check = next_ping
         OPEN_STREAMS.inc()
@@ -273,19 +274,19 @@ class _Stream:
             # Tens of kilobytes that would stay as long as the stream.
             first.clear()
             while not wakeups.closing:
-                await self._subscription.wait(max(min(next_ping, next_check) - now(), 0.0))
-                if now() >= next_check:
+                await self._subscription.wait(max(min(next_ping, next_check) - time.monotonic(), 0.0))
+                if time.monotonic() >= next_check:
                     if not await to_thread.run_sync(self._may_go_on, limiter=self._feed.limiter):
                         break
-                    next_check = now() + ping_s
+                    next_check = time.monotonic() + ping_s
                 messages = await self._news()
                 if messages:
                     yield "".join(messages)
-                elif now() >= next_ping:
+                elif time.monotonic() >= next_ping:
                     yield ": ping\n\n"
                 else:
                     continue
-                next_ping = now() + ping_s
+                next_ping = time.monotonic() + ping_s
         finally:
             OPEN_STREAMS.dec()
 

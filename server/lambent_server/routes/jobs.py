@@ -2,6 +2,7 @@
 
 import hashlib
 import shutil
+import time
 from typing import Annotated, Literal
 
 from anyio import to_thread
@@ -12,7 +13,6 @@ from pydantic import Field
 from lambent_server import job_queries, removals, render_rows, run_logs
 from lambent_server.accounts import audit
 from lambent_server.change_messages import JobChange
-from lambent_server.clock import now
 from lambent_server.database.schema import artifacts, events
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.estimates import estimate
@@ -126,7 +126,7 @@ async def get_job(
     """Return a job, at once or as soon as it has ended."""
     if not wait:
         return await to_thread.run_sync(_load, services, tenant, job_id)
-    deadline = now() + min(wait, services.settings.max_wait_s)
+    deadline = time.monotonic() + min(wait, services.settings.max_wait_s)
     feed: Feed = request.app.state.feed
     told: dict[str, int] = {}
     subscription = Subscription(frozenset({job_id}), told)
@@ -136,7 +136,7 @@ async def get_job(
             subscription.take()
             job = await to_thread.run_sync(_load, services, tenant, job_id)
             told[job_id] = job.last_event
-            left = deadline - now()
+            left = deadline - time.monotonic()
             if job.state in FINAL or left <= 0 or services.wakeups.closing:
                 return job
             await subscription.wait(left)

@@ -43,7 +43,7 @@ def checks(api: Api, status: int) -> dict[str, str]:
 
 
 def test_a_server_that_works_says_so(api: Api):
-    parts = ("controller", "database", "disk", "files")
+    parts = ("controller", "database", "disk", "store", "files")
     told = {"drain": "off", "maintenance": "off"}
     assert checks(api, 200) == {**dict.fromkeys(parts, "ok"), **told}
 
@@ -75,14 +75,36 @@ def test_a_database_that_is_gone_is_told_by_the_kind_of_its_error(api: Api):
     assert checks(api, 503)["database"] == "OperationalError"
 
 
-@pytest.mark.parametrize(("number", "word"), [(errno.ENOSPC, "full"), (errno.EROFS, "unwritable")])
+@pytest.mark.parametrize(
+    ("number", "word"), [(errno.ENOSPC, "full"), (errno.EROFS, "read-only"), (errno.EACCES, "unwritable")]
+)
 def test_a_disk_that_takes_no_bytes_is_told(
     api: Api, monkeypatch: pytest.MonkeyPatch, number: int, word: str
 ):
     monkeypatch.setattr(os, "fsync", lambda _: failing(number))
-    assert checks(api, 503)["disk"] == word
+    found = checks(api, 503)
+    assert (found["disk"], found["store"]) == (word, word)
 
 
 def test_a_disk_below_the_floor_is_told(tmp_path: Path):
     with opened(tmp_path / "data", disk_floor_bytes=2**62) as api:
         assert checks(api, 503)["disk"] == "low"
+
+
+def test_a_read_only_database_file_is_told(api: Api, monkeypatch: pytest.MonkeyPatch):
+    connect = sqlite3.connect
+    monkeypatch.setattr(
+        sqlite3, "connect", lambda name, **given: connect(name.replace("mode=rw", "mode=ro"), **given)
+    )
+    assert checks(api, 503)["database"] == "read-only"
+
+
+def test_a_store_that_works_is_asked_seldom_and_one_that_does_not_every_time(
+    api: Api, monkeypatch: pytest.MonkeyPatch
+):
+    answers = iter(["unavailable", "ok", "full"])
+    monkeypatch.setattr(type(api.services.store), "probe", lambda _: next(answers))
+    monkeypatch.setattr(api.app.state.health, "_probes", health.Health(api.services)._probes)
+    assert checks(api, 503)["store"] == "unavailable"
+    for _ in range(3):
+        assert checks(api, 200)["store"] == "ok"

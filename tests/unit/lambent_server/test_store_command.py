@@ -86,3 +86,25 @@ def test_a_folder_without_a_server_is_refused(tmp_path: Path):
     assert result.exit_code == 2
     assert result.output.startswith("store.no_server")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_contents_are_compared_on_request_and_damaged_ones_set_aside_by_a_clean(api: Api):
+    scene = api.scene({"transforms_train.json": b"{}", "one.png": b"a picture"})
+    digest = sha256(b"a picture")
+    path = api.services.settings.data / "store" / "blobs" / digest[:2] / digest
+    path.write_bytes(b"a pictuse")
+    assert call(api, "check").exit_code == 0
+    found = call(api, "check", "--content")
+    assert found.exit_code == 1
+    assert f"1 with damaged contents\n  {digest}" in found.output
+    assert report(api, "check", "--content")["damaged"] == [digest]
+    assert path.read_bytes() == b"a pictuse"
+    assert call(api, "clean", "--content").exit_code == 1
+    assert not path.exists()
+    assert report(api, "check", "--content")["lost"] == [digest]
+    api.put(f"/v1/scenes/{scene}/files/{digest}", content=b"a picture")
+    again = api.post("/v1/scenes", json={"name": "again"}).json()["id"]
+    plan = [{"path": "one.png", "size": 9, "sha256": digest}]
+    assert api.post(f"/v1/scenes/{again}/files:plan", json=plan).json()["missing"] == [digest]
+    assert api.put(f"/v1/scenes/{again}/files/{digest}", content=b"a picture").status_code == 204
+    assert call(api, "check", "--content").exit_code == 0

@@ -12,7 +12,14 @@ from flashcache.errors import ConfigError, ProcessEndedError, TrainingError
 from lambent_proto.v1 import worker_pb2
 
 from lambent_worker.capture_qa.check_result import CaptureCheck, tell_findings
-from lambent_worker.errors import IncompleteError, SceneRefusedError, Stopped, UsageError, WorkerError
+from lambent_worker.errors import (
+    IncompleteError,
+    InputDamagedError,
+    SceneRefusedError,
+    Stopped,
+    UsageError,
+    WorkerError,
+)
 from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError, UnreachableError
 from lambent_worker.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
 from lambent_worker.job.order import Check, Order, Pipeline
@@ -231,10 +238,17 @@ def _send_thumbnail(connection: Connection, checked: CaptureCheck) -> str:
 
 
 def fetch_scene(connection: Connection, start: worker_pb2.StartResponse, parent: Path) -> Path:
-    """Bring the scene's files here and return their folder, which is named like the scene."""
+    """Bring the scene's files here and return their folder, which is named like the scene.
+
+    Raises `InputDamagedError` if the server cannot send one of them as it was.
+    """
     folder = parent / (re.sub(r"[^A-Za-z0-9._-]+", "_", start.scene_name).strip("._") or "scene")
+    is_scene = not start.HasField("render") and start.spec.kind != "bake"
     for file in start.files:
-        connection.get_file(file.sha256, folder / file.path)
+        try:
+            connection.get_file(file.sha256, folder / file.path)
+        except RefusedError as error:
+            raise InputDamagedError.of(file.path, str(error), is_scene=is_scene) from error
     return folder
 
 
@@ -273,7 +287,7 @@ def describe_failure(error: Exception) -> worker_pb2.FailRequest:
     cause = worker_pb2.FAIL_CAUSE_INTERNAL
     if isinstance(error, WorkerError):
         code, message = error.code, error.message
-        if isinstance(error, SceneRefusedError):
+        if isinstance(error, SceneRefusedError | InputDamagedError):
             cause = worker_pb2.FAIL_CAUSE_BAD_SCENE
         elif isinstance(error, UsageError):
             cause = worker_pb2.FAIL_CAUSE_BAD_CONFIG

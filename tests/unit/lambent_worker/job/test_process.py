@@ -12,7 +12,7 @@ from lambent_proto.v1 import job_pb2, scene_pb2, worker_pb2
 from lambent_server.worker_service import serve_workers
 from lambent_worker.capture_qa import check
 from lambent_worker.capture_qa.check_result import CaptureCheck
-from lambent_worker.errors import IncompleteError, SceneRefusedError, UsageError
+from lambent_worker.errors import IncompleteError, InputDamagedError, SceneRefusedError, UsageError
 from lambent_worker.files import file_sha256
 from lambent_worker.job import process
 from lambent_worker.job.connection import Connection, FencedError, Identity, RefusedError
@@ -113,6 +113,30 @@ def test_the_scene_lies_in_a_folder_of_its_name(
     fetch_scene(connection, start, tmp_path / "scene")
     assert (folder / "a" / "b.png").read_bytes() == b"picture"
     assert not list(folder.rglob("*.partial"))
+
+
+@pytest.mark.parametrize("how", ["flipped", "cut", "gone"])
+def test_a_capture_that_is_damaged_in_the_store_is_no_crash(
+    stage: Stage, job: str, connection: Connection, tmp_path: Path, how: str
+):
+    start = stage.call("Start", job)
+    (path,) = [
+        path
+        for path in (stage.api.services.settings.data / "store").rglob("*")
+        if path.is_file() and path.read_bytes() == b"picture"
+    ]
+    path.write_bytes({"flipped": b"pictuse", "cut": b"pic", "gone": b""}[how])
+    if how == "gone":
+        path.unlink()
+    with pytest.raises(InputDamagedError) as caught:
+        fetch_scene(connection, start, tmp_path / "scene")
+    failure = describe_failure(caught.value)
+    assert (failure.code, failure.cause) == ("scene.file_damaged", worker_pb2.FAIL_CAUSE_BAD_SCENE)
+    assert failure.message.startswith("a/b.png: ")
+    assert "push the same capture again" in failure.message
+    start.spec.kind = "bake"
+    with pytest.raises(InputDamagedError, match=r"input\.file_damaged"):
+        fetch_scene(connection, start, tmp_path / "scene")
 
 
 def test_what_the_pipeline_tells_arrives_in_order(stage: Stage, job: str, reporter: ServerReporter):
