@@ -297,6 +297,8 @@ class Settings(BaseSettings):
     max_environment_pixels: int = Field(default=16384 * 8192, ge=1)
     max_queued_jobs: int = Field(default=1000, ge=1)
     """Unfinished jobs of one tenant."""
+    max_priority: int = Field(default=1000, ge=0, le=1000)
+    """Highest priority that a job may be given."""
     max_batch_pictures: int = Field(default=1000, ge=1)
     """Pictures of one order."""
     max_organisation_bytes: Size = 0
