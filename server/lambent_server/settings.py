@@ -332,6 +332,7 @@ class Settings(BaseSettings):
     """For a whole attempt, from the look-up of the name to the first line of the answer."""
     webhook_concurrency: int = Field(default=16, ge=1)
     webhook_per_host: int = Field(default=4, ge=1)
+    """Attempts of one tenant at one host; all tenants together may make twice as many there."""
     webhook_poll_s: Seconds = 1.0
     webhook_retry_s: Seconds = 10.0
     """Wait after the first failed attempt; three times as long after each further one."""
