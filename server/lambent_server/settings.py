@@ -138,8 +138,11 @@ class Settings(BaseSettings):
     """Address space of such a process."""
     decode_cpu_s: Seconds = 300.0
     """Its processor time; it is also ended after three times as long on the clock."""
+    decode_bytes_per_s: float = Field(default=256.0 * KIB, gt=0)
+    """How fast a file must be read, in bytes of it, after the first minute."""
     max_decoders: int = Field(default=4, ge=1)
-    """How many there are at once; further uploads wait."""
+    """How many there are at once; further uploads wait, and tenants take turns. One tenant has its share
+    (`tenant_share`) of them, and one key or session (`client_share`)."""
 
     local_slots: int = Field(default=1, ge=0)
     """Jobs that run on this machine at the same time; 0 for a server that only answers requests."""

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,10 @@ THREADS = 24
 """Calls that are answered at the same time."""
 MAX_STREAMS = 12
 """How many of them may be transfers of files, which take long: the other threads are free for heartbeats."""
+STREAMS_OF_RUN = 4
+"""How many transfers one run may have under way."""
+STREAM_S = 1800.0
+"""Time after which a transfer is broken off; runs themselves give one up after half of it."""
 _BURST_S = 4.0
 _FORGET_AFTER_S = 60.0
 _TOO_MANY_RUNS = 1000
@@ -25,6 +30,7 @@ class _Use:
     """What a run uses of its share."""
 
     calls: int
+    streams: int
     allowance: float
     at: float
 
@@ -46,17 +52,18 @@ class Shares:
         with self._lock:
             if len(self._uses) > _TOO_MANY_RUNS:
                 self._forget(at)
-            use = self._uses.setdefault(run, _Use(0, _BURST_S * self._rate, at))
+            use = self._uses.setdefault(run, _Use(0, 0, _BURST_S * self._rate, at))
             use.allowance = min(use.allowance + self._rate * (at - use.at), _BURST_S * self._rate)
             use.at = at
             if use.allowance < 1.0:
                 return "rate"
             if use.calls >= self._calls:
                 return "calls"
-            if stream and self._num_streams >= self._streams:
+            if stream and (self._num_streams >= self._streams or use.streams >= STREAMS_OF_RUN):
                 return "streams"
             use.allowance -= 1.0
             use.calls += 1
+            use.streams += stream
             self._num_streams += stream
         return ""
 
@@ -64,6 +71,7 @@ class Shares:
         """End a call that was let in."""
         with self._lock:
             self._uses[run].calls -= 1
+            self._uses[run].streams -= stream
             self._num_streams -= stream
 
     def _forget(self, at: float) -> None:
@@ -118,7 +126,8 @@ class Gatekeeper(grpc.ServerInterceptor):  # type: ignore[misc]
         def act(request: Any, context: Any) -> Any:
             self._enter(context, run, stream)
             try:
-                return behavior(request, context)
+                with _time_limit(context, stream):
+                    return behavior(request, context)
             finally:
                 self._shares.leave(run, stream=stream)
 
@@ -130,8 +139,24 @@ class Gatekeeper(grpc.ServerInterceptor):  # type: ignore[misc]
         def act(request: Any, context: Any) -> Iterator[Any]:
             self._enter(context, run, True)
             try:
-                yield from behavior(request, context)
+                with _time_limit(context, True):
+                    yield from behavior(request, context)
             finally:
                 self._shares.leave(run, stream=True)
 
         return act
+
+
+@contextmanager
+def _time_limit(context: Any, stream: bool) -> Iterator[None]:
+    """Break a transfer off that never ends, whose thread waits for the next message."""
+    if not stream:
+        yield
+        return
+    timer = threading.Timer(STREAM_S, context.cancel)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

@@ -1,11 +1,9 @@
 """The gRPC service for run processes; each request is checked against the job's current run."""
 
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from errno import EADDRINUSE
-from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import grpc
@@ -26,7 +24,7 @@ from lambent_server.outcomes import requeue, succeed
 from lambent_server.problems import Problem
 from lambent_server.secrets import is_token_of
 from lambent_server.services import Services
-from lambent_server.store import CHUNK_BYTES, Blob, find_blob, hash_file
+from lambent_server.store import CHUNK_BYTES, Blob, find_blob
 from lambent_server.worker_certificates import Certificate
 from lambent_server.worker_gate import THREADS, Gatekeeper, Shares
 
@@ -51,7 +49,9 @@ def _abort(context: grpc.ServicerContext, error: Exception) -> NoReturn:
     if isinstance(error, Refused):
         context.abort(error.code, str(error))
     if isinstance(error, Problem):
-        context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"{error.code}: {error.detail}")
+        # The run tries again what another time may bring, such as a full disk.
+        code = grpc.StatusCode.UNAVAILABLE if error.retryable else grpc.StatusCode.INVALID_ARGUMENT
+        context.abort(code, f"{error.code}: {error.detail}")
     # The run keeps retrying: an unavailable database or a full disk is not its fault.
     problem = away(error)
     if problem is None:
@@ -181,33 +181,14 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def PutBlob(self, request_iterator: Iterator[Any], context: Any) -> Any:  # noqa: N802
         """Store a file of the run, only if it is complete and matches its hash."""
         header = next(request_iterator).header
-        with tempfile.NamedTemporaryFile(dir=self._services.settings.scratch) as file:
-
-            def act(_connection: Connection, job: Job) -> Job:
-                return job
-
-            # Check the run first: a stale one must not even fill the disk.
-            job = self._answer(context, header.fence, act, signal=False)
-            try:
-                for message in request_iterator:
-                    file.write(message.data)
-                    if file.tell() > header.size_bytes:
-                        raise Refused(
-                            grpc.StatusCode.INVALID_ARGUMENT,
-                            f"{header.size_bytes:.0f} bytes were announced, but more were sent",
-                        )
-                file.flush()
-                if hash_file(Path(file.name)) != header.sha256:
-                    raise Refused(grpc.StatusCode.DATA_LOSS, "the bytes do not match the announced hash")
-                created = self._services.store.put_file(
-                    self._services.database.write,
-                    owner(job),
-                    Path(file.name),
-                    header.sha256,
-                    header.media_type or "application/octet-stream",
-                )
-            except (Refused, SQLAlchemyError, OSError) as error:
-                _abort(context, error)
+        # Check the run first: a stale one must not even fill the disk.
+        job = self._answer(context, header.fence, lambda _, job: job, signal=False)
+        try:
+            created = worker_uploads.receive(self._services, owner(job), header, request_iterator)
+        except worker_uploads.BrokenUploadError as error:
+            _abort(context, Refused(grpc.StatusCode.DATA_LOSS, str(error)))
+        except (Problem, SQLAlchemyError, OSError) as error:
+            _abort(context, error)
         return worker_pb2.PutBlobResponse(created=created)
 
     def GetBlob(self, request: Any, context: Any) -> Iterator[Any]:  # noqa: N802

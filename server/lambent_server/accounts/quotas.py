@@ -84,10 +84,20 @@ def check_bytes(connection: Connection, tenant: Tenant, settings: Settings, more
     limit = quotas_of(connection, tenant, settings).bytes
     if limit is None:
         return
-    used = usage.amount(connection, tenant, usage.BYTES)
+    used = stored_bytes(connection, tenant)
     if used + more > limit:
-        detail = f"this needs {used + more:.0f} bytes with what is stored, {limit:.0f} are allowed"
-        raise _used_up(507, "quota_bytes", f"{detail}; delete something", BYTES, limit, used)
+        raise bytes_used_up(limit, used, more)
+
+
+def stored_bytes(connection: Connection, tenant: Tenant) -> float:
+    """Return how many bytes of the quota are used."""
+    return usage.amount(connection, tenant, usage.BYTES)
+
+
+def bytes_used_up(limit: float, used: float, more: float) -> Problem:
+    """Return the problem of `more` bytes than there is room for."""
+    detail = f"this needs {used + more:.0f} bytes with what is stored, {limit:.0f} are allowed"
+    return _used_up(507, "quota_bytes", f"{detail}; delete something", BYTES, limit, used)
 
 
 def month_used(connection: Connection, tenant: Tenant) -> float:

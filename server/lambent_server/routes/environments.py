@@ -22,7 +22,8 @@ from lambent_server.problems import not_found
 from lambent_server.routes.common import Id, ServicesOf, TenantOf, WhoOf, binary_body, problems
 from lambent_server.routes.resources import IdempotencyKey, ResourceRoute, digest_of
 from lambent_server.services import Services
-from lambent_server.uploads import Upload, received
+from lambent_server.space import Allowance
+from lambent_server.uploads import Upload, allowance_of, received, storing
 
 router = APIRouter(tags=["environments"], route_class=ResourceRoute)
 
@@ -51,15 +52,23 @@ async def create_environment(
     key: IdempotencyKey = None,
 ) -> Environment:
     """Upload a latitude-longitude picture; only its header is checked before a job reads its pixels."""
-    async with received(services, request, services.settings.max_environment_bytes) as upload:
-        return await to_thread.run_sync(_take, services, who, name, upload, key, limiter=services.decoders)
+    allowance = await to_thread.run_sync(_allowance, services, tenant)
+    max_bytes = services.settings.max_environment_bytes
+    async with received(services, request, tenant, max_bytes, allowance) as upload:
+        return await services.decoders.run(tenant.id, who.client, _take, services, who, name, upload, key)
+
+
+def _allowance(services: Services, tenant: Tenant) -> Allowance | None:
+    with services.database.read() as connection:
+        return allowance_of(connection, services, tenant, beside_stored=False)
 
 
 def _take(services: Services, who: Who, name: str, upload: Upload, key: str | None) -> Environment:
     head, tenant = environment_head(upload.path, services.settings), who.tenant
     admission = Admission(who=who, settings=services.settings, action="create_environment")
     sent = (upload.path, upload.sha256, MEDIA_TYPES[head.format], admission)
-    services.store.put_file(services.database.write, tenant, *sent)
+    with storing(services, upload.path):
+        services.store.put_file(services.database.write, tenant, *sent)
     identifier, digest = new_id("env"), digest_of("environment", name, upload.sha256)
     with services.database.write() as connection:
         known = made_before(connection, tenant, key, digest, identifier)
