@@ -3,7 +3,7 @@
 import contextlib
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -23,6 +23,7 @@ from lambent_server.problems import Problem
 from lambent_server.s3 import S3Bucket, S3Options, StoreUnavailableError
 
 CHUNK_BYTES = 1024 * 1024
+_TOUCHED_AT_ONCE = 500
 READ_TIMEOUT_S = 120.0
 """Longest time that a request to a store may take."""
 
@@ -323,6 +324,20 @@ def touch(connection: Connection, tenant: Tenant, sha256: str) -> int | None:
 def blob_url(sha256: str | None) -> str | None:
     """Return the address of a blob; None without a hash."""
     return f"/v1/blobs/{sha256}" if sha256 else None
+
+
+def touch_all(connection: Connection, tenant: Tenant, hashes: Iterable[str]) -> dict[str, int]:
+    """Return the sizes of those of the tenant's blobs that there are, as `touch` does for one of them."""
+    found: dict[str, int] = {}
+    # In one order, so that two transactions never wait for each other.
+    wanted = sorted(set(hashes))
+    for start in range(0, len(wanted), _TOUCHED_AT_ONCE):
+        some = schema.blobs.c.sha256.in_(wanted[start : start + _TOUCHED_AT_ONCE])
+        columns = (schema.blobs.c.sha256, schema.blobs.c.size_bytes)
+        locked = rows(tenant, schema.blobs, *columns).where(some).order_by(schema.blobs.c.sha256)
+        found |= {sha256: int(size) for sha256, size in connection.execute(locked.with_for_update())}
+        connection.execute(change(tenant, schema.blobs).where(some).values(touched_at=now()))
+    return found
 
 
 def find_blob(connection: Connection, tenant: Tenant, sha256: str) -> Blob | None:

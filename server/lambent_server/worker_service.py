@@ -13,7 +13,7 @@ from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
 from sqlalchemy import Connection
 from sqlalchemy.exc import SQLAlchemyError
 
-from lambent_server import run_reports, worker_uploads
+from lambent_server import report_limits, run_reports, worker_uploads
 from lambent_server.clock import now
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
@@ -66,9 +66,14 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     """The implementation of the service for run processes."""
 
     def __init__(
-        self, services: Services, secret: str, servers: Callable[[str], Sequence[str]] = lambda _: ()
+        self,
+        services: Services,
+        secret: str,
+        servers: Callable[[str], Sequence[str]] = lambda _: (),
+        shares: Shares | None = None,
     ) -> None:
         """Prepare; `servers` returns where the runs of a host reach the servers."""
+        self._shares = shares or Shares.of(services.settings)
         self._services = services
         self._secret = secret
         self._servers = servers
@@ -108,15 +113,30 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         *,
         even_if_ended: bool = False,
         signal: bool = True,
+        given: Message | None = None,
     ) -> Reply:
-        """Run `act` in one transaction, if the request comes from the current run."""
+        """Run `act` in one transaction, if the request comes from the current run.
+
+        A run that reports too much with `given` fails.
+        """
         try:
             self._authenticate(context, fence)
-            with self._services.database.write() as connection:
+            with (
+                self._shares.timed(fence.job_id, fence.run) as begin,
+                self._services.database.write() as connection,
+            ):
+                begin()
                 job = self._current_job(connection, fence)
                 if not even_if_ended:
                     self._require_active(job, fence)
-                reply = act(connection, job)
+                too_much = report_limits.excess(given, job)
+                if too_much:
+                    report_limits.end(connection, job, too_much, self._services.settings)
+                else:
+                    reply = act(connection, job)
+            if too_much:
+                self._services.wakeups.signal()
+                raise Refused(grpc.StatusCode.INVALID_ARGUMENT, f"{report_limits.CODE}: {too_much}")
         except (Refused, Problem, SQLAlchemyError, OSError) as error:
             _abort(context, error)
         if signal:
@@ -167,7 +187,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             run_reports.store_report(connection, job, request, self._services.settings)
             return worker_pb2.ReportResponse(stop=_must_stop(job), servers=self._servers_for(job))
 
-        return self._answer(context, request.fence, act)
+        return self._answer(context, request.fence, act, given=request)
 
     def ReportScene(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Store the findings and measurements of the scene."""
@@ -240,7 +260,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             run_reports.store_checkpoint(connection, job, request.manifest)
             return worker_pb2.CommitCheckpointResponse()
 
-        return self._answer(context, request.fence, act)
+        return self._answer(context, request.fence, act, given=request)
 
     def Publish(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Publish the result and complete the job; repeating it returns the same answer."""
@@ -257,7 +277,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             succeed(connection, job, bundle_id=bundle_id)
             return worker_pb2.PublishResponse(bundle_id=bundle_id or "")
 
-        return self._answer(context, request.fence, act, even_if_ended=True)
+        return self._answer(context, request.fence, act, even_if_ended=True, given=request)
 
     def Finish(self, request: Any, context: Any) -> Any:  # noqa: N802
         """End a run without a bundle."""
@@ -328,7 +348,7 @@ def serve_workers(
     `servers` returns where the runs of a host reach the servers. Raises OSError if the address is in use.
     """
     settings = services.settings
-    shares = Shares(settings.worker_calls, settings.worker_calls_per_s)
+    shares = Shares.of(settings)
     server = grpc.server(
         ThreadPoolExecutor(max_workers=THREADS, thread_name_prefix="worker-service"),
         interceptors=[Gatekeeper(secret, shares)],
@@ -341,7 +361,8 @@ def serve_workers(
             ("grpc.http2.min_ping_interval_without_data_ms", 10_000),
         ],
     )
-    worker_pb2_grpc.add_WorkerServiceServicer_to_server(WorkerServicer(services, secret, servers), server)
+    servicer = WorkerServicer(services, secret, servers, shares)
+    worker_pb2_grpc.add_WorkerServiceServicer_to_server(servicer, server)
     server.add_insecure_port(address)
     if network is not None:
         try:
