@@ -5,11 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from lambent_server.database.engine import Database
+from lambent_server.disk_space import Space
 from lambent_server.fair_places import FairPlaces
 from lambent_server.provenance import Signer, open_signer
 from lambent_server.s3 import S3Options
 from lambent_server.settings import Settings
-from lambent_server.space import Space
 from lambent_server.store import BlobStore
 from lambent_server.wakeups import Wakeups
 

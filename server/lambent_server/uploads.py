@@ -20,11 +20,11 @@ from lambent_server.accounts import quotas
 from lambent_server.archives import write_all
 from lambent_server.database.schema import blobs
 from lambent_server.database.tenancy import Tenant, rows
+from lambent_server.disk_space import Allowance, Body
 from lambent_server.metrics import UPLOAD_BYTES
 from lambent_server.problems import Problem
 from lambent_server.s3 import StoreUnavailableError
 from lambent_server.services import Services
-from lambent_server.space import Allowance, Body
 
 _HASHES_AT_ONCE = 500
 

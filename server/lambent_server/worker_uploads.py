@@ -13,9 +13,9 @@ from lambent_server import claims
 from lambent_server.archives import write_all
 from lambent_server.database.tenancy import Tenant
 from lambent_server.direct import direct_uploads
+from lambent_server.disk_space import RUNS_PART
 from lambent_server.problems import Problem, invalid
 from lambent_server.services import Services
-from lambent_server.space import RUNS_PART
 from lambent_server.store import Blob, touch
 from lambent_server.uploads import storing
 

@@ -14,6 +14,7 @@ from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import environments
 from lambent_server.database.tenancy import Tenant, add, find
 from lambent_server.decoding import environment_head
+from lambent_server.disk_space import Allowance
 from lambent_server.environment_files import MEDIA_TYPES
 from lambent_server.idempotency import made_before
 from lambent_server.messages import Environment, EnvironmentList
@@ -22,7 +23,6 @@ from lambent_server.problems import not_found
 from lambent_server.routes.common import Id, ServicesOf, TenantOf, WhoOf, binary_body, problems
 from lambent_server.routes.resources import IdempotencyKey, ResourceRoute, digest_of
 from lambent_server.services import Services
-from lambent_server.space import Allowance
 from lambent_server.uploads import Upload, allowance_of, received, storing
 
 router = APIRouter(tags=["environments"], route_class=ResourceRoute)

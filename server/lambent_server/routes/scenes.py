@@ -16,6 +16,7 @@ from lambent_server.archives import unpack
 from lambent_server.change_messages import SceneChange
 from lambent_server.database.schema import scene_files, scenes
 from lambent_server.database.tenancy import Tenant, rows
+from lambent_server.disk_space import Allowance
 from lambent_server.label_rows import having
 from lambent_server.messages import NewScene, PlannedFile, Scene, SceneList, SceneReportAnswer
 from lambent_server.pagination import LabelFilter, select_newest
@@ -26,7 +27,6 @@ from lambent_server.routes.resources import IdempotencyKey, IfMatch, ResourceRou
 from lambent_server.scene_figures import find_figures
 from lambent_server.scene_rows import SceneFile
 from lambent_server.services import Services
-from lambent_server.space import Allowance
 from lambent_server.store import find_blob
 from lambent_server.upload_messages import Plan
 from lambent_server.uploads import ArchiveRoom, Upload, allowance_of, received, storing

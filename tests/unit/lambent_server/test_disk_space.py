@@ -4,8 +4,8 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from lambent_server.disk_space import RUNS_PART, Allowance, Space
 from lambent_server.problems import Problem
-from lambent_server.space import RUNS_PART, Allowance, Space
 
 
 class Disk:
