@@ -109,6 +109,8 @@ class Settings(BaseSettings):
     """Who is redirected to such an address when reading: programs that ask for it, or everybody."""
     store_url_s: Seconds = 900.0
     """Time for which a presigned address is valid."""
+    store_reserved_s: Seconds = 3600.0
+    """Time after the last address for which bytes that were sent and not taken over are kept, and count."""
     store_whole_bytes: Size = 64 * MIB
     """Larger files are sent in parts."""
     store_part_bytes: int = Field(default=16 * MIB, ge=5 * MIB)

@@ -34,7 +34,7 @@ Write = Callable[[], AbstractContextManager[Connection]]
 class Admission(Protocol):
     """Decides whether a tenant may store a blob; raises the problem if not, and then nothing stays."""
 
-    def expected(self, connection: Connection, size_bytes: float) -> None:
+    def expected(self, connection: Connection, sha256: str, size_bytes: float) -> None:
         """Look before bytes that are new to the tenant are written."""
 
     def added(self, connection: Connection, sha256: str) -> None:
@@ -148,7 +148,7 @@ class BlobStore:
                 token = claims.claim(connection, tenant, blob.sha256)
                 known = touch(connection, tenant, blob.sha256) is not None
                 if admission is not None and not known:
-                    admission.expected(connection, float(blob.size_bytes))
+                    admission.expected(connection, blob.sha256, float(blob.size_bytes))
             write_bytes()
             try:
                 with write() as connection:

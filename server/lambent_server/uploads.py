@@ -39,17 +39,17 @@ class Upload:
 
 
 def allowance_of(
-    connection: Connection, services: Services, tenant: Tenant, *, beside_stored: bool
+    connection: Connection, services: Services, tenant: Tenant, sha256: str | None = None
 ) -> Allowance | None:
     """Return how many bytes of bodies an organisation may have under way; None: as many as it likes.
 
-    `beside_stored`: what is stored counts too. It does not for an archive, which may hold files that are
-    stored already: of those, the organisation may have under way what it may store.
+    For a file, whose hash is given, it is what is left of the quota; for an archive, some of whose files may
+    be stored already, it is the whole quota.
     """
     limit = quotas.quotas_of(connection, tenant, services.settings).bytes
     if limit is None:
         return None
-    used = quotas.stored_bytes(connection, tenant) if beside_stored else 0.0
+    used = 0.0 if sha256 is None else quotas.used_bytes(connection, tenant, but=(sha256,))
     return Allowance(bytes=limit - used, refuse=lambda held: quotas.bytes_used_up(limit, used, held))
 
 
@@ -117,7 +117,7 @@ class ArchiveRoom:
         self._body = body
         with services.database.read() as connection:
             self._limit = quotas.quotas_of(connection, tenant, services.settings).bytes
-            self._used = quotas.stored_bytes(connection, tenant)
+            self._used = quotas.used_bytes(connection, tenant)
         self._new = 0
         self._looked_up: set[str] = set()
         self._unknown: dict[str, int] = {}

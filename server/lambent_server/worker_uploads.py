@@ -9,7 +9,8 @@ from typing import Any
 
 from lambent_proto.v1 import worker_pb2
 
-from lambent_server import claims
+from lambent_server import claims, reservations
+from lambent_server.accounts import quotas
 from lambent_server.archives import write_all
 from lambent_server.database.tenancy import Tenant
 from lambent_server.direct import direct_uploads
@@ -80,7 +81,11 @@ def plan(
         known = touch(connection, tenant, request.sha256) == size_bytes
     if known and services.store.size(request.sha256) == size_bytes:
         return worker_pb2.PlanUploadResponse(stored=True, direct=True)
-    offers = direct.offers(tenant, {request.sha256: size_bytes})
+    wanted = {request.sha256: size_bytes}
+    with services.database.write() as connection:
+        # What runs store is counted and not refused.
+        quotas.reserve_bytes(connection, tenant, services.settings, wanted, refuse=False)
+    offers = direct.offers(tenant, wanted)
     return worker_pb2.PlanUploadResponse(
         direct=bool(offers),
         parts=[
@@ -108,6 +113,8 @@ def complete(
     try:
         blob = Blob(request.sha256, _checked(request), media_type)
         direct.accept(services.database.write, tenant, blob)
+        with services.database.write() as connection:
+            reservations.use(connection, tenant, request.sha256, services.settings)
     except Problem as problem:
         if problem.code == "upload_missing":
             return worker_pb2.CompleteUploadResponse(missing=True)

@@ -60,7 +60,7 @@ async def create_environment(
 
 def _allowance(services: Services, tenant: Tenant) -> Allowance | None:
     with services.database.read() as connection:
-        return allowance_of(connection, services, tenant, beside_stored=False)
+        return allowance_of(connection, services, tenant)
 
 
 def _take(services: Services, who: Who, name: str, upload: Upload, key: str | None) -> Environment:

@@ -85,7 +85,7 @@ def plan_files(
         plan = scene_rows.plan(connection, tenant, scene, files)
         sizes = {file.sha256: file.size_bytes for file in files}
         new_bytes = sum(sizes[sha256] for sha256 in plan.missing)
-        quotas.check_bytes(connection, tenant, services.settings, float(new_bytes))
+        quotas.check_bytes(connection, tenant, services.settings, float(new_bytes), of=set(plan.missing))
         audit.record(connection, who, "plan_files", scene_id, details={"files": len(files)})
     missing = sorted({*plan.missing, *services.store.damaged(plan.known)})
     first = offers(services, tenant, {sha256: sizes[sha256] for sha256 in missing[:FIRST_UPLOADS]})
@@ -127,7 +127,7 @@ def _planned_size(
             raise invalid("file_not_planned", "#/path/sha256", "no planned file of this scene has this hash")
         if find_blob(connection, tenant, sha256) is not None:
             return int(size), None
-        return int(size), allowance_of(connection, services, tenant, beside_stored=True)
+        return int(size), allowance_of(connection, services, tenant, sha256)
 
 
 def _store(services: Services, who: Who, path: Path, sha256: str, action: str) -> None:
@@ -159,7 +159,7 @@ def _require_open(services: Services, tenant: Tenant, scene_id: str) -> Allowanc
     """Refuse a scene that takes no files any more, and return what the quota allows."""
     with services.database.read() as connection:
         scene_rows.require_open(scene_rows.require_scene(connection, tenant, scene_id))
-        return allowance_of(connection, services, tenant, beside_stored=False)
+        return allowance_of(connection, services, tenant)
 
 
 def _take_archive(services: Services, who: Who, scene_id: str, upload: Upload) -> Scene:

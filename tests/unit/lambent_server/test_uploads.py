@@ -120,7 +120,7 @@ def test_bodies_that_arrive_together_never_pass_the_quota(tmp_path: Path, databa
     with opened(tmp_path / "data", max_organisation_bytes=MB, **database) as api:
         api.scene({"transforms_train.json": bytes(300_000)})
         with api.services.database.read() as connection:
-            allowance = allowance_of(connection, api.services, TENANT, beside_stored=True)
+            allowance = allowance_of(connection, api.services, TENANT, sha256(b"new"))
         scratch = api.services.settings.scratch
 
         def log() -> None:
