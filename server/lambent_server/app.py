@@ -13,8 +13,8 @@ from lambent_server.http.budget import Budget
 from lambent_server.http.maintenance import Maintenance
 from lambent_server.http.middleware import Gate
 from lambent_server.http.request import App
+from lambent_server.http.request_turns import take_turn
 from lambent_server.http.scopes import check_scope, describe_scope, require_complete
-from lambent_server.http.turns import take_turn
 from lambent_server.messages import ProblemDocument
 from lambent_server.oidc import THREADS, Provider
 from lambent_server.routes import (

@@ -30,7 +30,7 @@ from lambent_server.http.login_header import LOGIN_NAME
 from lambent_server.http.rates import Rates
 from lambent_server.http.rechecks import Identify, Rechecks
 from lambent_server.http.request import PUBLIC, SAFE, App, Exchange, Message, Receive, Scope, Send
-from lambent_server.http.turns import TURN, Turn, turns
+from lambent_server.http.request_turns import TURN, Turn, turns
 from lambent_server.problems import Problem
 from lambent_server.s3 import StoreUnavailableError
 from lambent_server.secrets import sha256_text

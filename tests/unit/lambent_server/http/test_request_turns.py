@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from lambent_server import scene_rows
-from lambent_server.http import turns
+from lambent_server.http import request_turns
 from support.api import STRANGER_KEY, expect, opened
 
 
@@ -30,7 +30,7 @@ def test_slow_requests_of_one_tenant_leave_half_of_the_threads_to_others(
 
     monkeypatch.setattr(scene_rows, "create", slow)
     # Otherwise the slow ones would keep SQLite's lock, one after the other.
-    monkeypatch.setattr(turns, "THREADS", 8)
+    monkeypatch.setattr(request_turns, "THREADS", 8)
     with opened(tmp_path / "data", client_share=1.0) as api:
         engine_write = api.services.database.write
         monkeypatch.setattr(type(api.services.database), "write", type(api.services.database).read)
@@ -54,7 +54,7 @@ def test_slow_requests_of_one_tenant_leave_half_of_the_threads_to_others(
 
 
 def test_a_route_that_waits_for_a_job_takes_no_turn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(turns, "THREADS", 1)
+    monkeypatch.setattr(request_turns, "THREADS", 1)
     with opened(tmp_path / "data") as api:
         job = api.job()["id"]
         waiting = threading.Thread(target=lambda: api.get(f"/v1/jobs/{job}?wait=2"))
@@ -69,7 +69,7 @@ def test_a_route_that_waits_for_a_job_takes_no_turn(tmp_path: Path, monkeypatch:
 def test_a_turn_ends_with_the_response_also_where_that_is_a_problem(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(turns, "THREADS", 1)
+    monkeypatch.setattr(request_turns, "THREADS", 1)
     with opened(tmp_path / "data") as api:
         for _ in range(3):
             assert api.get("/v1/jobs/none").status_code == 404
