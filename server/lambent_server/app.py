@@ -15,6 +15,7 @@ from lambent_server.http.json_bodies import require_strict
 from lambent_server.http.maintenance import Maintenance
 from lambent_server.http.middleware import Gate
 from lambent_server.http.request import App
+from lambent_server.http.request_turns import take_turn
 from lambent_server.http.scopes import check_scope, describe_scope, require_complete
 from lambent_server.messages import ProblemDocument
 from lambent_server.oidc import THREADS, Provider
@@ -55,7 +56,7 @@ def _bare(services: Services | None) -> FastAPI:
         redoc_url=None,
         openapi_url=None,
         generate_unique_id_function=lambda route: route.name,
-        dependencies=[Depends(check_scope)],
+        dependencies=[Depends(check_scope), Depends(take_turn)],
     )
     app.state.services = services
     errors.install(app)

@@ -5,10 +5,12 @@ name and size that it gets, and writes the members under numbers, never under th
 """
 
 import hashlib
+import os
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Protocol
 
 from lambent_server.archive_entries import Entry, broken, unsafe
 from lambent_server.decoding import archive_entries
@@ -37,19 +39,48 @@ class Member:
     file: Path
 
 
-def unpack(archive: Path, folder: Path, settings: Settings) -> tuple[list[Member], list[str]]:
+class Room(Protocol):
+    """Where there is room for what is unpacked; each method raises the problem if there is none."""
+
+    def entry(self, size: int) -> None:
+        """Look before an entry of so many bytes is read."""
+
+    def writing(self, size: int) -> AbstractContextManager[None]:
+        """Return the context in which so many bytes are written."""
+
+    def kept(self, sha256: str, size: int) -> None:
+        """Look after a file was written."""
+
+
+class _NoLimit:
+    """Room for everything."""
+
+    def entry(self, size: int) -> None:
+        pass
+
+    def writing(self, size: int) -> AbstractContextManager[None]:
+        return nullcontext()
+
+    def kept(self, sha256: str, size: int) -> None:
+        pass
+
+
+def unpack(
+    archive: Path, folder: Path, settings: Settings, room: Room | None = None
+) -> tuple[list[Member], list[str]]:
     """Write the files of the archive to `folder`; return them and the paths that do not belong in a scene.
 
-    Raises `archive_unsafe`, `archive_broken` or `decoder_stopped`; only files in `folder` may remain then.
+    Raises `archive_unsafe`, `archive_broken` or `decoder_stopped`, or what `room` raises; only files in
+    `folder` may remain then.
     """
     size = archive.stat().st_size
     budget = int(min(settings.max_scene_bytes, settings.max_archive_ratio * max(size, 1)))
     with archive_entries(archive, budget, settings) as entries:
-        return _keep(entries, folder, budget, settings)
+        return _keep(entries, folder, budget, settings, room or _NoLimit())
 
 
 def _keep(
-    entries: Iterator[Entry], folder: Path, budget: int, settings: Settings
+    entries: Iterator[Entry], folder: Path, budget: int, settings: Settings, room: Room
 ) -> tuple[list[Member], list[str]]:
     members: list[Member] = []
     left_out: list[str] = []
@@ -71,7 +102,8 @@ def _keep(
         if not is_scene_file(name):
             left_out.append(name)
             continue
-        members.append(_write(name, size, source, folder / f"{place:06d}"))
+        room.entry(size)
+        members.append(_write(name, size, source, folder / f"{place:06d}", room))
     _require_pictures(members, left_out)
     return _without_top_folder(members), left_out
 
@@ -99,18 +131,27 @@ def _some(paths: list[str]) -> str:
     return ", ".join(path[:80] for path in paths[:3]) + more
 
 
-def _write(name: str, size: int, source: IO[bytes], target: Path) -> Member:
+def _write(name: str, size: int, source: IO[bytes], target: Path, room: Room) -> Member:
     digest, written = hashlib.sha256(), 0
-    with target.open("xb") as file:
+    with target.open("xb", buffering=0) as file:
         while piece := source.read(PIECE):
             written += len(piece)
             if written > size:
                 raise unsafe("an entry is larger than it says", name)
             digest.update(piece)
-            file.write(piece)
+            with room.writing(len(piece)):
+                write_all(file.fileno(), piece)
     if written != size:
         raise broken("an entry is shorter than it says", name)
+    room.kept(digest.hexdigest(), size)
     return Member(name, digest.hexdigest(), size, target)
+
+
+def write_all(descriptor: int, data: bytes) -> None:
+    """Write all of `data`: a nearly full disk takes what fits."""
+    view = memoryview(data)
+    while view:
+        view = view[os.write(descriptor, view) :]
 
 
 def _without_top_folder(members: list[Member]) -> list[Member]:

@@ -38,13 +38,14 @@ from lambent_server.job_rows import (
     in_state,
     is_observed,
     move,
+    owner,
     set_fields,
 )
 from lambent_server.membership import Membership, full_handle
 from lambent_server.metrics import RUNS_STARTED
 from lambent_server.outages import report
 from lambent_server.outcomes import Failure, fail, is_due, judge, wait_for_room
-from lambent_server.queue_order import QueueOrder
+from lambent_server.queue_order import QueueOrder, had_turn
 from lambent_server.run_clocks import RunClocks
 from lambent_server.secrets import run_token
 from lambent_server.server_state import DRAIN, Notices
@@ -328,6 +329,8 @@ class Controller:
                 stop_at=None,
                 handle=self._placed({"gpus": list(gpus)}),
             )
+            if moved:
+                had_turn(connection, owner(job))
         # Not moved if another server was faster.
         if not moved:
             return False

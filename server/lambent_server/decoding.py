@@ -30,6 +30,8 @@ MAX_PIECE_BYTES = 1024 * 1024
 UNKNOWN_MESSAGE = "it sent a message that no decoder sends"
 # Code that runs in the process may wait instead of working, which costs no processor time.
 WALL_FACTOR = 3.0
+FIRST_S = 60.0
+"""Time on the clock that even the smallest file has."""
 EXIT_S = 5.0
 """Time between the end of its messages and that of the process."""
 # How the system ends a process that uses too much of it.
@@ -41,7 +43,7 @@ _CODES = frozenset({"archive_broken", *_REFUSALS.values()})
 class Decoder:
     """One process that reads one file, and the messages that it sends."""
 
-    def __init__(self, task: str, path: Path, settings: Settings, **order: Any) -> None:
+    def __init__(self, task: str, path: Path, settings: Settings, wall_s: float, **order: Any) -> None:
         self._refusal = _REFUSALS[task]
         self.timed_out = False
         limits = {"memory_bytes": settings.decode_memory_bytes, "cpu_s": max(1, int(settings.decode_cpu_s))}
@@ -58,7 +60,7 @@ class Decoder:
         except OSError as error:
             log.error("decoder_not_started", error=str(error))
             raise _unavailable("no process could be started") from error
-        self._timer = threading.Timer(WALL_FACTOR * settings.decode_cpu_s, self._run_out)
+        self._timer = threading.Timer(wall_s, self._run_out)
         self._timer.daemon = True
         self._timer.start()
 
@@ -148,7 +150,9 @@ def _unavailable(reason: str) -> Problem:
 
 @contextmanager
 def _decoder(task: str, path: Path, settings: Settings, **order: Any) -> Iterator[Decoder]:
-    decoder = Decoder(task, path, settings, **order)
+    # Others wait for its place, so a small file must not keep it for as long as a large one may.
+    by_size_s = FIRST_S + path.stat().st_size / settings.decode_bytes_per_s
+    decoder = Decoder(task, path, settings, min(by_size_s, WALL_FACTOR * settings.decode_cpu_s), **order)
     try:
         yield decoder
     finally:

@@ -3,8 +3,8 @@
 Bytes first go to a name of the tenant's own (`uploads/<tenant>/<hash>`), because knowing a hash must not be
 enough to read what another tenant has stored under it. Only when they are complete and match the hash are
 they copied to the blob's name, inside the bucket. The bucket itself verifies files that are sent whole, if
-it can; others are read once to compare their hash. Nothing is written down elsewhere: the bucket knows
-which parts it has.
+it can; others are read once to compare their hash. The bucket knows which parts it has; the database only
+knows what room was kept for them (`reservations`).
 """
 
 import hashlib
@@ -148,9 +148,23 @@ class DirectUploads:
                 if not self._store.holds(blob.sha256, blob.size_bytes):
                     raise _upload_missing(blob) from error
 
-        created = self._store.add(write, tenant, blob, copy, admission)
+        try:
+            created = self._store.add(write, tenant, blob, copy, admission)
+        except Problem as problem:
+            if problem.code == "quota_bytes":
+                # It must not lie there until somebody has deleted something else.
+                self._bucket.delete(key)
+            raise
         self._bucket.delete(key)
         return created
+
+    def discard(self, tenant: Tenant, sha256: str) -> None:
+        """Delete what was sent of a file, whole or in parts, and not taken over."""
+        name = f"{folder_of(tenant)}/{sha256}"
+        for key, upload_id, _ in list(self._bucket.uploads(name)):
+            self._bucket.abort(key, upload_id)
+        for key in (name, name + _UNVERIFIED):
+            self._bucket.delete(key)
 
     def _sent(self, key: str, size_bytes: int) -> Version | None:
         """Return what was sent, if it is complete; the parts of an upload are put together."""

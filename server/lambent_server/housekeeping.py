@@ -3,9 +3,10 @@
 import time
 from typing import Any
 
+import structlog
 from sqlalchemy import Column, Connection, Select, delete, exists, literal_column, select
 
-from lambent_server import claims, job_counts, scene_rows
+from lambent_server import claims, job_counts, reservations, scene_rows
 from lambent_server.clock import now, skipped_s
 from lambent_server.database.cluster_schema import run_logs
 from lambent_server.database.schema import (
@@ -25,8 +26,12 @@ from lambent_server.database.schema import (
 )
 from lambent_server.database.service_schema import webhook_deliveries
 from lambent_server.database.tenancy import Tenant, across_tenants, change, remove, rows
+from lambent_server.direct import DirectUploads
+from lambent_server.s3 import StoreUnavailableError
 from lambent_server.services import Services
 from lambent_server.settings import Settings
+
+log = structlog.get_logger()
 
 ENDED_SHARE_S = 30 * 86400.0
 """How long after its expiry a link is known to have ended."""
@@ -56,6 +61,7 @@ def sweep(services: Services) -> int:
     """
     job_counts.fold(services.database)
     _expire(services)
+    _end_reservations(services)
     before = garbage_before(services.settings)
     with services.database.read() as connection:
         due = connection.execute(_due(before).limit(AT_ONCE)).mappings().all()
@@ -67,6 +73,27 @@ def sweep(services: Services) -> int:
         if time.monotonic() > until:
             break
     return removed
+
+
+def _end_reservations(services: Services) -> None:
+    """Delete what was sent to the bucket and never taken over, and count it no more."""
+    with services.database.read() as connection:
+        rows_ended = reservations.ended(connection)
+    bucket = services.store.bucket
+    direct = None if bucket is None else DirectUploads(services.store, bucket, services.settings)
+    until = time.monotonic() + SWEEP_S
+    for row in rows_ended:
+        try:
+            if direct is not None:
+                direct.discard(Tenant(row["tenant_id"]), row["sha256"])
+        except StoreUnavailableError as error:
+            # It counts until its bytes are gone.
+            log.warning("reservations_not_ended", reason=str(error))
+            return
+        with services.database.write() as connection:
+            reservations.forget(connection, row)
+        if time.monotonic() > until:
+            return
 
 
 def is_more_due(services: Services) -> bool:

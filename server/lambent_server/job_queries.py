@@ -36,6 +36,7 @@ from lambent_server.messages import Event, Job, NewJob, Preset
 from lambent_server.pagination import read_page
 from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
 from lambent_server.services import Services
+from lambent_server.settings import Settings
 from lambent_server.store import blob_url
 from lambent_server.webhook_outbox import tell
 from lambent_server.webhook_rows import check_url
@@ -183,6 +184,7 @@ def submit(
         bake_rows.check_order(connection, tenant, order)
     budget_s = require_preset(order.preset).budget_s if order.kind == "train" else None
     reserved_s = gpus * max(budget_s or 0.0, LEAST_RESERVED_S)
+    check_priority(order.priority, services.settings)
     check_quota(connection, tenant, services, 1, reserved_s)
     return insert_job(
         connection,
@@ -199,6 +201,16 @@ def submit(
         seed=order.seed,
         webhook=order.webhook,
     )
+
+
+def check_priority(priority: int, settings: Settings) -> None:
+    """Refuse a priority above the one that the operator allows."""
+    if priority > settings.max_priority:
+        message = (
+            f"a job may have a priority of up to {settings.max_priority} here, not {priority}; give a lower "
+            "one, or ask the operator (LAMBENT_MAX_PRIORITY)"
+        )
+        raise invalid("priority_too_high", "#/priority", message)
 
 
 def num_unfinished(connection: Connection, tenant: Tenant) -> int:
@@ -249,7 +261,9 @@ def insert_job(
     return require_job(connection, tenant, identifier)
 
 
-def change_job(connection: Connection, tenant: Tenant, job: Row, order: JobChange) -> None:
+def change_job(
+    connection: Connection, tenant: Tenant, job: Row, order: JobChange, settings: Settings
+) -> None:
     """Change labels or priority of a job; the caller holds its row."""
     values: dict[str, Any] = {}
     if order.priority is not None and order.priority != job["priority"]:
@@ -257,6 +271,7 @@ def change_job(connection: Connection, tenant: Tenant, job: Row, order: JobChang
             raise conflict(
                 "job_not_waiting", f"job {job['id']} is {job['state']}; only waiting jobs have a turn"
             )
+        check_priority(order.priority, settings)
         values["priority"] = order.priority
     if order.labels is not None:
         values["labels"] = label_rows.merged(job["labels"], order.labels)

@@ -1,17 +1,17 @@
 """Database rows of jobs and their history; the only module that changes a job's state."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, FromClause, RowMapping, and_, literal_column, or_
+from sqlalchemy import ColumnElement, Connection, FromClause, RowMapping, and_, insert, literal_column, or_
 
 from lambent_server.accounts.usage import add_gpu_time
 from lambent_server.checkpoint_rows import drop_checkpoints
 from lambent_server.clock import now
 from lambent_server.database.announcing import announce
 from lambent_server.database.schema import events, jobs
-from lambent_server.database.tenancy import Tenant, add, change, rows
+from lambent_server.database.tenancy import Tenant, change, rows
 from lambent_server.webhook_outbox import tell
 
 QUEUED = "queued"
@@ -71,31 +71,43 @@ def owner(job: Job) -> Tenant:
 
 def append_event(connection: Connection, job: Job, event: NewEvent) -> int:
     """Append an event to the job's history and return its number; numbers have no gaps."""
+    return append_events(connection, job, [event])
+
+
+def append_events(connection: Connection, job: Job, new: Sequence[NewEvent]) -> int:
+    """Append events to the job's history, in two statements however many they are.
+
+    Returns the number of the last one.
+    """
     statement = (
         change(owner(job), jobs)
         .where(jobs.c.id == job["id"])
-        .values(event_seq=jobs.c.event_seq + 1, updated_at=now())
+        .values(event_seq=jobs.c.event_seq + len(new), updated_at=now())
         .returning(jobs.c.event_seq)
     )
-    seq: int = connection.execute(statement).scalar_one()
-    connection.execute(
-        add(
-            owner(job),
-            events,
-            job_id=job["id"],
-            seq=seq,
-            at=now(),
-            type=event.type,
-            run=event.run or job["run"],
-            state=event.state,
-            progress=event.progress,
-            message=event.message,
-            sha256=event.sha256,
-            name=event.name,
-        )
-    )
+    last: int = connection.execute(statement).scalar_one()
+    if not new:
+        return last
+    first, tenant = last - len(new) + 1, owner(job)
+    values = [
+        {
+            "tenant_id": tenant.id,
+            "job_id": job["id"],
+            "seq": seq,
+            "at": now(),
+            "type": event.type,
+            "run": event.run or job["run"],
+            "state": event.state,
+            "progress": event.progress,
+            "message": event.message,
+            "sha256": event.sha256,
+            "name": event.name,
+        }
+        for seq, event in enumerate(new, first)
+    ]
+    connection.execute(insert(events), values)
     announce(connection)
-    return seq
+    return last
 
 
 def set_fields(connection: Connection, job: Job, **values: Any) -> None:

@@ -1,7 +1,9 @@
-"""The next job to start: highest priority first, then the tenant with the fewest runs, then the oldest job.
+"""The next job to start: of the tenant with the fewest runs, and of these the one that has waited longest.
 
-Jobs of one tenant with the same priority and number of GPUs form a group, in which the oldest comes first.
-Only the oldest of each group are compared, so the length of the queue does not matter.
+Among the jobs of that tenant the highest priority comes first, then the oldest job: a priority never gets a
+job ahead of another tenant's. Jobs of one tenant with the same priority and number of GPUs form a group, in
+which the oldest comes first. Only the oldest of each group are compared, so the length of the queue does not
+matter.
 """
 
 from collections import Counter
@@ -12,7 +14,8 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Integer, Select, and_, bindparam, func, not_, select
 
 from lambent_server.database.schema import jobs
-from lambent_server.database.tenancy import across_tenants
+from lambent_server.database.service_schema import tenant_turns
+from lambent_server.database.tenancy import Tenant, across_tenants, add_if_absent, change
 from lambent_server.job_rows import is_startable
 from lambent_server.render_rows import waits_for_parts
 
@@ -80,6 +83,7 @@ class QueueOrder:
         `load` has the number of runs by tenant; the caller keeps it up to date.
         """
         self._load = load
+        self._turns: dict[str, int] = {}
         self._heads: list[Head] = []
         given = {"free_gpus": free_gpus}
         # Most rounds find nothing to start, and the whole query takes PostgreSQL a while to plan.
@@ -88,16 +92,31 @@ class QueueOrder:
                 # It would rather sort what is in the queue, anew for each group.
                 connection.execute(_NO_SORTING)
             self._heads = [Head(**row) for row in connection.execute(_ALL_HEADS, given).mappings()]
+            # Numbers, not times: servers whose clocks differ take from the same queue.
+            turns = across_tenants(tenant_turns, tenant_turns.c.tenant_id, tenant_turns.c.turn)
+            self._turns = dict(iter(connection.execute(turns)))
 
     def next(self, connection: Connection, free_gpus: int) -> dict[str, Any] | None:
         """Return the row of the next job that `free_gpus` suffice for; None after the last."""
         while fitting := [head for head in self._heads if head.gpus <= free_gpus]:
-            head = min(fitting, key=lambda each: (-each.priority, self._load[each.tenant_id], each.id))
+            head = min(fitting, key=self._place)
             self._heads.remove(head)
             follower = connection.execute(_FOLLOWING, asdict(head)).scalar_one_or_none()
             if follower is not None:
                 self._heads.append(replace(head, id=follower))
             statement = across_tenants(jobs).where(jobs.c.id == head.id, is_startable())
             if (row := connection.execute(statement).mappings().one_or_none()) is not None:
+                self._turns[head.tenant_id] = max(self._turns.values(), default=0) + 1
                 return dict(row)
         return None
+
+    def _place(self, head: Head) -> tuple[int, int, int, str]:
+        """Return what the heads are sorted by."""
+        return (self._load[head.tenant_id], self._turns.get(head.tenant_id, 0), -head.priority, head.id)
+
+
+def had_turn(connection: Connection, tenant: Tenant) -> None:
+    """Store that a run was just started for a tenant: with equally many runs, the others are next."""
+    add_if_absent(connection, tenant, tenant_turns, turn=0)
+    newest = select(func.max(tenant_turns.c.turn)).scalar_subquery()
+    connection.execute(change(tenant, tenant_turns).values(turn=newest + 1))

@@ -26,7 +26,7 @@ from lambent_server.database.schema import (
 )
 from lambent_server.database.tenancy import Tenant, add, find, rows
 from lambent_server.idempotency import made_before
-from lambent_server.job_queries import check_quota, insert_job
+from lambent_server.job_queries import check_priority, check_quota, insert_job
 from lambent_server.job_rows import (
     CANCELLED,
     CANCELLING,
@@ -103,6 +103,7 @@ def submit(connection: Connection, tenant: Tenant, order: Order, services: Servi
         raise invalid("too_many_pictures", "#/cameras", message)
     num_shards = min(order.shards or _num_places(connection, services), num_pictures)
     num_jobs = num_shards + (num_shards > 1)
+    check_priority(order.priority, services.settings)
     check_quota(connection, tenant, services, num_jobs)
     connection.execute(
         add(

@@ -5,7 +5,7 @@ from typing import Any
 
 from google.protobuf.json_format import MessageToJson, Parse, ParseError
 from lambent_proto.v1 import bundle_pb2, job_pb2, worker_pb2
-from sqlalchemy import Connection
+from sqlalchemy import Connection, Table, insert
 
 from lambent_server import label_rows, provenance
 from lambent_server.clock import new_id, now
@@ -19,7 +19,7 @@ from lambent_server.database.schema import (
     scenes,
 )
 from lambent_server.database.tenancy import add, change, find
-from lambent_server.job_rows import Job, NewEvent, append_event, owner, set_fields
+from lambent_server.job_rows import Job, NewEvent, append_event, append_events, owner, set_fields
 from lambent_server.outcomes import Failure, adjustments_of, fail, lose
 from lambent_server.paths import check_path
 from lambent_server.preparation import drop_superseded, offered_checkpoints, scene_of_checkpoint
@@ -31,9 +31,11 @@ from lambent_server.run_inputs import inputs_of
 from lambent_server.scene_figures import store_figures
 from lambent_server.scene_rows import set_thumbnail
 from lambent_server.settings import Settings
-from lambent_server.store import BlobStore, touch
+from lambent_server.store import BlobStore, touch_all
 
 _WORKER_EVENTS = frozenset({"preview", "log", "finding", "artifact"})
+_MESSAGE_CHARACTERS = 8000
+_NAME_CHARACTERS = 300
 _YOUNG_S = 600.0
 _OLD_S = 3600.0
 
@@ -100,20 +102,26 @@ def store_report(
     for event in report.events:
         if event.type not in _WORKER_EVENTS:
             raise Problem(422, "event_type", f"a run must not report {event.type!r} events")
-        append_event(
-            connection,
-            job,
-            NewEvent(
-                type=event.type, message=_plain(event.message), sha256=event.sha256, name=_plain(event.name)
-            ),
+    new = [
+        NewEvent(
+            type=event.type,
+            message=_plain(event.message, _MESSAGE_CHARACTERS),
+            sha256=event.sha256,
+            name=_plain(event.name, _NAME_CHARACTERS),
         )
+        for event in report.events
+    ]
+    if new:
+        append_events(connection, job, new)
     if previews:
         thin(connection, job)
 
 
-def _plain(text: str) -> str:
-    """Return the text without characters that PostgreSQL cannot store."""
-    return text.replace("\0", "")
+def _plain(text: str, limit: int) -> str:
+    """Return the text without characters that PostgreSQL cannot store, cut where it is too long."""
+    text = text.replace("\0", "")
+    left_out = len(text) - limit
+    return text if left_out <= 0 else f"{text[:limit]}… ({left_out} more characters)"
 
 
 def store_scene_report(connection: Connection, job: Job, request: worker_pb2.ReportSceneRequest) -> None:
@@ -147,17 +155,21 @@ def store_failure(
     cause = enum_text(worker_pb2.FailCause, request.cause)
     if cause == "killed":
         set_fields(connection, job, error=None)
-        lose(connection, job, request.message, settings)
+        lose(connection, job, _plain(request.message, _MESSAGE_CHARACTERS), settings)
         return
-    code = request.code or "run_failed"
-    fail(connection, job, Failure(cause, code, request.message or "the run failed; see the log"), settings)
+    code = _plain(request.code, _NAME_CHARACTERS) or "run_failed"
+    message = _plain(request.message, _MESSAGE_CHARACTERS) or "the run failed; see the log"
+    fail(connection, job, Failure(cause, code, message), settings)
 
 
-def _require_blob(connection: Connection, job: Job, sha256: str, path: str) -> int:
-    size_bytes = touch(connection, owner(job), sha256)
-    if size_bytes is None:
-        raise Problem(422, "blob_missing", f"{path}: blob {sha256} was never uploaded")
-    return size_bytes
+def _require_blobs(connection: Connection, job: Job, files: Iterable[Any]) -> dict[str, int]:
+    """Return the sizes of files by hash; refuse one that was never sent."""
+    named = {file.sha256: file.path for file in files}
+    sizes = touch_all(connection, owner(job), named)
+    for sha256, path in named.items():
+        if sha256 not in sizes:
+            raise Problem(422, "blob_missing", f"{path}: blob {sha256} was never uploaded")
+    return sizes
 
 
 def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.CheckpointManifest) -> None:
@@ -165,7 +177,7 @@ def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.Checkpo
     tenant = owner(job)
     for file in manifest.files:
         check_path(file.path, "#/files")
-        _require_blob(connection, job, file.sha256, file.path)
+    _require_blobs(connection, job, manifest.files)
     identifier = new_id("chk")
     text = MessageToJson(manifest, preserving_proto_field_name=True, indent=None)
     connection.execute(
@@ -183,10 +195,12 @@ def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.Checkpo
             scene_id=scene_of_checkpoint(job, manifest.stage),
         )
     )
-    for file in manifest.files:
-        connection.execute(
-            add(tenant, checkpoint_files, checkpoint_id=identifier, path=file.path, sha256=file.sha256)
-        )
+    of_checkpoint = {"tenant_id": tenant.id, "checkpoint_id": identifier}
+    _insert(
+        connection,
+        checkpoint_files,
+        [{**of_checkpoint, "path": file.path, "sha256": file.sha256} for file in manifest.files],
+    )
     set_fields(connection, job, losses_without_checkpoint=0, progress_at=now())
     append_event(
         connection, job, NewEvent(type="checkpoint", name=manifest.stage, message=f"step {manifest.step}")
@@ -215,8 +229,8 @@ def publish(
     names = {"job_id": job["id"], "scene_id": job["scene_id"], "labels": job["labels"]}
     connection.execute(add(tenant, bundles, id=bundle_id, created_at=now(), **names))
     label_rows.store(connection, tenant, bundle_id, job["labels"])
-    for file in request.bundle_files:
-        connection.execute(add(tenant, bundle_files, bundle_id=bundle_id, **_file_values(file)))
+    of_bundle = {"tenant_id": tenant.id, "bundle_id": bundle_id}
+    _insert(connection, bundle_files, [{**of_bundle, **_file_values(file)} for file in request.bundle_files])
     if signer is not None:
         statement = provenance.statement_of(
             job,
@@ -232,19 +246,30 @@ def publish(
 
 def _require_files(connection: Connection, job: Job, files: Iterable[worker_pb2.PublishedFile]) -> None:
     """Raise the problem of files that were never uploaded, or that have another size or no safe path."""
-    for file in files:
+    given = list(files)
+    for file in given:
         check_path(file.path, "#/files")
-        if _require_blob(connection, job, file.sha256, file.path) != int(file.size_bytes):
+    sizes = _require_blobs(connection, job, given)
+    for file in given:
+        if sizes[file.sha256] != int(file.size_bytes):
             raise Problem(422, "size_mismatch", f"{file.path}: the blob has another size")
 
 
 def _publish_artifacts(connection: Connection, job: Job, files: Sequence[worker_pb2.PublishedFile]) -> None:
     """Insert the rows that make artifacts visible."""
     _require_files(connection, job, files)
-    for file in files:
-        values = _file_values(file)
-        connection.execute(add(owner(job), artifacts, job_id=job["id"], name=values.pop("path"), **values))
-        append_event(connection, job, NewEvent(type="artifact", name=file.path, sha256=file.sha256))
+    of_job = {"tenant_id": owner(job).id, "job_id": job["id"]}
+    values = [{**of_job, **_file_values(file)} for file in files]
+    _insert(connection, artifacts, [{**each, "name": each.pop("path")} for each in values])
+    told = [NewEvent(type="artifact", name=file.path, sha256=file.sha256) for file in files]
+    if told:
+        append_events(connection, job, told)
+
+
+def _insert(connection: Connection, table: Table, values: list[dict[str, Any]]) -> None:
+    """Insert rows with one statement: the transaction keeps others from writing meanwhile."""
+    if values:
+        connection.execute(insert(table), values)
 
 
 def _file_values(file: worker_pb2.PublishedFile) -> dict[str, Any]:

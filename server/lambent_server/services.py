@@ -4,11 +4,10 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from anyio import CapacityLimiter
-
 from lambent_server.database.engine import Database
 from lambent_server.database.latest_time import begin_time
-from lambent_server.problems import Problem
+from lambent_server.disk_space import Space
+from lambent_server.fair_places import FairPlaces
 from lambent_server.provenance import Signer, open_signer
 from lambent_server.s3 import S3Options
 from lambent_server.settings import Settings
@@ -41,12 +40,21 @@ class Services:
     store: BlobStore
     wakeups: Wakeups
     capacity: Capacity
-    decoders: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(4))
-    """Threads that wait for a process that decodes an upload: apart from those that answer requests."""
+    decoders: FairPlaces = field(init=False)
+    """Places of processes that decode uploads, in threads apart from those that answer requests."""
+    space: Space = field(init=False)
+    """What there is for the bodies of uploads."""
     signer: Signer | None = None
     """Signs where bundles are from; None in commands beside a server."""
     key_uses: dict[str, float] = field(default_factory=dict)
     """Times of the last use of keys that are not yet stored in the database."""
+
+    def __post_init__(self) -> None:
+        """Prepare what the requests and runs of this server share."""
+        floor, share = self.settings.disk_floor_bytes, self.settings.tenant_share
+        # The class is frozen.
+        object.__setattr__(self, "decoders", FairPlaces.of_decoders(self.settings))
+        object.__setattr__(self, "space", Space(self.free_bytes, floor_bytes=floor, tenant_share=share))
 
     def free_bytes(self) -> int:
         """Return the free space of the data folder."""
@@ -54,15 +62,7 @@ class Services:
 
     def require_disk(self) -> None:
         """Refuse requests that would fill the disk; running jobs are not affected."""
-        free = self.free_bytes()
-        if free < self.settings.disk_floor_bytes:
-            raise Problem(
-                507,
-                "disk_floor",
-                f"{free} bytes are free, but {self.settings.disk_floor_bytes} must stay free; "
-                "delete scenes or add disk space",
-                retryable=True,
-            )
+        self.space.require()
 
 
 def open_services(settings: Settings) -> Services:
@@ -78,11 +78,8 @@ def open_services(settings: Settings) -> Services:
     database.migrate()
     begin_time(database)
     capacity = Capacity.of_machine(settings, count_gpus())
-    decoders = CapacityLimiter(settings.max_decoders)
     signer = open_signer(database, settings)
-    return Services(
-        settings, database, _open_store(settings, database), Wakeups(), capacity, decoders, signer
-    )
+    return Services(settings, database, _open_store(settings, database), Wakeups(), capacity, signer)
 
 
 def join_services(settings: Settings) -> Services:

@@ -114,6 +114,8 @@ class Settings(BaseSettings):
     """Who is redirected to such an address when reading: programs that ask for it, or everybody."""
     store_url_s: Seconds = 900.0
     """Time for which a presigned address is valid."""
+    store_reserved_s: Seconds = 3600.0
+    """Time after the last address for which bytes that were sent and not taken over are kept, and count."""
     store_whole_bytes: Size = 64 * MIB
     """Larger files are sent in parts."""
     store_part_bytes: int = Field(default=16 * MIB, ge=5 * MIB)
@@ -143,8 +145,11 @@ class Settings(BaseSettings):
     """Address space of such a process."""
     decode_cpu_s: Seconds = 300.0
     """Its processor time; it is also ended after three times as long on the clock."""
+    decode_bytes_per_s: float = Field(default=256.0 * KIB, gt=0)
+    """How fast a file must be read, in bytes of it, after the first minute."""
     max_decoders: int = Field(default=4, ge=1)
-    """How many there are at once; further uploads wait."""
+    """How many there are at once; further uploads wait, and tenants take turns. One tenant has its share
+    (`tenant_share`) of them, and one key or session (`client_share`)."""
 
     local_slots: int = Field(default=1, ge=0)
     """Jobs that run on this machine at the same time; 0 for a server that only answers requests."""
@@ -251,11 +256,9 @@ class Settings(BaseSettings):
     trusted_proxies: Annotated[
         tuple[str, ...], NoDecode, BeforeValidator(_split), AfterValidator(_networks)
     ] = ()
-    """Addresses and networks of proxies that name the client (`X-Forwarded-For`) and the scheme
-    (`X-Forwarded-Proto`), separated by commas."""
+    """Proxies that name client and scheme (`X-Forwarded-For`, `-Proto`): addresses and networks, by commas."""
     provenance_key: LocalPath | None = None
-    """PEM file of the Ed25519 key that signs where bundles are from; made if it is missing. Default: in the
-    data folder."""
+    """PEM file of the Ed25519 key that signs where bundles are from. Default: made in the data folder."""
     oidc_issuer: str | None = None
     """Issuer of the OpenID Connect provider at which people sign in, such as "https://id.example"."""
     oidc_client_id: str | None = None
@@ -307,6 +310,8 @@ class Settings(BaseSettings):
     max_environment_pixels: int = Field(default=16384 * 8192, ge=1)
     max_queued_jobs: int = Field(default=1000, ge=1)
     """Unfinished jobs of one tenant."""
+    max_priority: int = Field(default=1000, ge=0, le=1000)
+    """Highest priority that a job may be given."""
     max_batch_pictures: int = Field(default=1000, ge=1)
     """Pictures of one order."""
     max_organisation_bytes: Size = 0
@@ -340,6 +345,7 @@ class Settings(BaseSettings):
     """For a whole attempt, from the look-up of the name to the first line of the answer."""
     webhook_concurrency: int = Field(default=16, ge=1)
     webhook_per_host: int = Field(default=4, ge=1)
+    """Attempts of one tenant at one host; all tenants together may make twice as many there."""
     webhook_poll_s: Seconds = 1.0
     webhook_retry_s: Seconds = 10.0
     """Wait after the first failed attempt; three times as long after each further one."""

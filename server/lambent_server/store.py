@@ -7,7 +7,7 @@ import os
 import secrets
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +36,7 @@ from lambent_server.outside_text import sendable_media_type
 from lambent_server.problems import Problem
 from lambent_server.s3 import S3Bucket, S3Options
 
+_TOUCHED_AT_ONCE = 500
 READ_TIMEOUT_S = 120.0
 """Longest time that a request to a store may take."""
 COMPARED_S = 20.0
@@ -45,7 +46,7 @@ COMPARED_S = 20.0
 class Admission(Protocol):
     """Decides whether a tenant may store a blob; raises the problem if not, and then nothing stays."""
 
-    def expected(self, connection: Connection, size_bytes: float) -> None:
+    def expected(self, connection: Connection, sha256: str, size_bytes: float) -> None:
         """Look before bytes that are new to the tenant are written."""
 
     def added(self, connection: Connection, sha256: str) -> None:
@@ -177,7 +178,7 @@ class BlobStore:
                 token = claims.claim(connection, tenant, blob.sha256)
                 known = touch(connection, tenant, blob.sha256) is not None
                 if admission is not None and not known:
-                    admission.expected(connection, float(blob.size_bytes))
+                    admission.expected(connection, blob.sha256, float(blob.size_bytes))
             write_bytes()
             try:
                 with write() as connection:
@@ -371,6 +372,20 @@ def touch(connection: Connection, tenant: Tenant, sha256: str) -> int | None:
 def blob_url(sha256: str | None) -> str | None:
     """Return the address of a blob; None without a hash."""
     return f"/v1/blobs/{sha256}" if sha256 else None
+
+
+def touch_all(connection: Connection, tenant: Tenant, hashes: Iterable[str]) -> dict[str, int]:
+    """Return the sizes of those of the tenant's blobs that there are, as `touch` does for one of them."""
+    found: dict[str, int] = {}
+    # In one order, so that two transactions never wait for each other.
+    wanted = sorted(set(hashes))
+    for start in range(0, len(wanted), _TOUCHED_AT_ONCE):
+        some = schema.blobs.c.sha256.in_(wanted[start : start + _TOUCHED_AT_ONCE])
+        columns = (schema.blobs.c.sha256, schema.blobs.c.size_bytes)
+        locked = rows(tenant, schema.blobs, *columns).where(some).order_by(schema.blobs.c.sha256)
+        found |= {sha256: int(size) for sha256, size in connection.execute(locked.with_for_update())}
+        connection.execute(change(tenant, schema.blobs).where(some).values(touched_at=now()))
+    return found
 
 
 def find_blob(connection: Connection, tenant: Tenant, sha256: str) -> Blob | None:

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, func, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Select, exists, func, or_, select, update
 
 from lambent_server.clock import JUMP_S, now
 from lambent_server.database.engine import Database
@@ -14,12 +14,17 @@ from lambent_server.database.service_schema import webhook_deliveries, webhook_s
 from lambent_server.database.tenancy import Tenant, across_tenants, rows
 from lambent_server.settings import Settings
 from lambent_server.webhook_outbox import PENDING
+from lambent_server.webhook_places import Places
 from lambent_server.webhook_rows import FAILED, GONE, disable
 
 DELIVERED = "delivered"
 HTTP_GONE = 410
 KEPT_ATTEMPTS = 20
 _GROWTH = 3.0
+_LOOKED_AT = 500
+"""Deliveries of one tenant among which those are chosen that its hosts have room for. Hosts that are full
+are left out, so the ones behind these are found once the first have filled theirs."""
+_LONGEST_DUE = webhook_deliveries.c.next_at
 Row = Mapping[str, Any]
 
 
@@ -51,31 +56,59 @@ def is_due(settings: Settings) -> ColumnElement[bool]:
     return or_(next_at <= at, next_at > at + longest_s + JUMP_S)
 
 
-def claim(database: Database, settings: Settings, room: int, busy: Mapping[str, int]) -> list[dict[str, Any]]:
-    """Return up to `room` due deliveries, which belong to the caller until it reports their outcome.
+def _waiting_tenants(settings: Settings) -> Select[Any]:
+    """Return the query of the tenants with due deliveries: one look into the index for each tenant."""
+    of = webhook_deliveries.alias().c
+    first = select(func.min(of.tenant_id).label("id")).cte("tenants", recursive=True)
+    other = webhook_deliveries.alias().c
+    later = select(func.min(other.tenant_id)).where(other.tenant_id > first.c.id).scalar_subquery()
+    tenants = first.union_all(select(later).where(first.c.id.is_not(None)))
+    due = exists().where(webhook_deliveries.c.tenant_id == tenants.c.id, is_due(settings))
+    return select(tenants.c.id).where(due)
 
-    `busy` says how many attempts are under way at each host; no host gets more than `webhook_per_host`.
+
+def claim(database: Database, settings: Settings, places: Places) -> list[dict[str, Any]]:
+    """Return due deliveries, which belong to the caller until it reports their outcome.
+
+    As many as `places` has room for; each goes to the tenant whose turn it is. The caller takes the places.
     """
-    full = [host for host, count in busy.items() if count >= settings.webhook_per_host]
-    place = func.row_number().over(
-        partition_by=webhook_deliveries.c.host, order_by=webhook_deliveries.c.next_at
-    )
-    due = (
-        across_tenants(
-            webhook_deliveries, webhook_deliveries.c.id, webhook_deliveries.c.host, place.label("place")
-        )
-        .where(is_due(settings), webhook_deliveries.c.host.not_in(full))
-        .subquery()
-    )
-    first = select(due.c.id, due.c.host).where(due.c.place <= settings.webhook_per_host)
+    trial, chosen = places.copy(), list[str]()
     with database.read() as connection:
-        found = connection.execute(first.order_by(due.c.place).limit(2 * settings.webhook_concurrency)).all()
-    chosen, load = [], dict(busy)
-    for identifier, host in found:
-        if load.get(host, 0) < settings.webhook_per_host and len(chosen) < room:
-            load[host] = load.get(host, 0) + 1
-            chosen.append(identifier)
+        waiting = {
+            tenant_id: _Waiting(settings)
+            for tenant_id in connection.execute(_waiting_tenants(settings)).scalars()
+        }
+        while able := [tenant_id for tenant_id in waiting if trial.has_room(tenant_id)]:
+            tenant_id = min(able, key=trial.turn)
+            found = waiting[tenant_id].next(connection, tenant_id, trial)
+            if found is None:
+                del waiting[tenant_id]
+                continue
+            chosen.append(found.id)
+            trial.take(tenant_id, found.host)
     return _take(database, settings, chosen) if chosen else []
+
+
+class _Waiting:
+    """The due deliveries of one tenant, the longest due first, read when they are needed."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._rows: list[Any] | None = None
+
+    def next(self, connection: Connection, tenant_id: str, places: Places) -> Any:
+        """Return the first one whose host has room; None if there is none."""
+        if self._rows is None:
+            full = places.full_hosts(tenant_id)
+            columns = (webhook_deliveries.c.id, webhook_deliveries.c.host)
+            due = is_due(self._settings), webhook_deliveries.c.host.not_in(full)
+            statement = rows(Tenant(tenant_id), webhook_deliveries, *columns).where(*due)
+            self._rows = list(connection.execute(statement.order_by(_LONGEST_DUE).limit(_LOOKED_AT)))
+        while self._rows:
+            row = self._rows.pop(0)
+            if places.may_reach(tenant_id, row.host):
+                return row
+        return None
 
 
 def _take(database: Database, settings: Settings, chosen: Collection[str]) -> list[dict[str, Any]]:

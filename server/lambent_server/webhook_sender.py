@@ -1,4 +1,4 @@
-"""The thread that delivers webhooks: many at once, few at each host, each within a time limit."""
+"""The thread that delivers webhooks: many at once, few of each tenant and host, each within a time limit."""
 
 import asyncio
 import contextlib
@@ -6,7 +6,6 @@ import socket
 import ssl
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -20,6 +19,7 @@ from lambent_server.services import Services
 from lambent_server.settings import Settings
 from lambent_server.webhook_claims import Outcome, claim, release, settle
 from lambent_server.webhook_guard import Guard, RefusedAddress, Target
+from lambent_server.webhook_places import Places
 from lambent_server.webhook_signing import signed_headers
 
 log = structlog.get_logger()
@@ -50,7 +50,7 @@ class Sender:
         self._guard = Guard.of(services.settings)
         self._leads = leads
         self._resolver = resolver
-        self._busy: Counter[str] = Counter()
+        self._places = Places(services.settings)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._main: asyncio.Task[None] | None = None
         self._thread = threading.Thread(target=self._run, name="webhooks", daemon=True)
@@ -77,7 +77,7 @@ class Sender:
             while True:
                 try:
                     for row in await self._claimed():
-                        self._busy[row["host"]] += 1
+                        self._places.take(row["tenant_id"], row["host"])
                         group.create_task(self._handle(client, row))
                 except (SQLAlchemyError, OSError) as error:
                     # The database is unavailable; the rows are still due once it is back.
@@ -85,14 +85,15 @@ class Sender:
                 await asyncio.sleep(self._settings.webhook_poll_s)
 
     async def _claimed(self) -> list[dict[str, Any]]:
-        room = self._settings.webhook_concurrency - self._busy.total()
-        if room <= 0 or not self._leads():
+        if not self._places.free or not self._leads():
             return []
-        return await asyncio.to_thread(claim, self._database, self._settings, room, dict(self._busy))
+        return await asyncio.to_thread(claim, self._database, self._settings, self._places.copy())
 
     async def _handle(self, client: httpx2.AsyncClient, row: dict[str, Any]) -> None:
         try:
             outcome = await self.attempt(client, row)
+            timed_out = outcome.error == "timeout"
+            self._places.learn(row["tenant_id"], row["host"], seconds=outcome.seconds, timed_out=timed_out)
             state = await asyncio.to_thread(settle, self._database, self._settings, row, outcome)
         except asyncio.CancelledError:
             # Not awaited: this task is being ended, and the claim of a lost attempt ends by itself too.
@@ -104,7 +105,7 @@ class Sender:
             log.exception("webhook_not_noted", delivery=row["id"])
             return
         finally:
-            self._busy -= Counter([row["host"]])
+            self._places.leave(row["tenant_id"], row["host"])
         ATTEMPTS.labels(outcome.error or "delivered").inc()
         log.info(
             "webhook_attempt",
@@ -125,7 +126,7 @@ class Sender:
         began = time.monotonic()
         status, error, retry_after_s = None, "timeout", 0.0
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(self._settings.webhook_timeout_s):
+            async with asyncio.timeout(self._places.timeout_s(row["tenant_id"], row["host"])):
                 try:
                     target = self._guard.parse(row["url"])
                     addresses = self._guard.permitted(target, await self._addresses(target))

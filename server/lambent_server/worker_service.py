@@ -1,11 +1,9 @@
 """The gRPC service for run processes; each request is checked against the job's current run."""
 
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from errno import EADDRINUSE
-from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import grpc
@@ -15,7 +13,7 @@ from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
 from sqlalchemy import Connection
 from sqlalchemy.exc import SQLAlchemyError
 
-from lambent_server import run_reports, worker_uploads
+from lambent_server import report_limits, run_reports, worker_uploads
 from lambent_server.clock import now
 from lambent_server.content_checks import CHUNK_BYTES
 from lambent_server.database.schema import jobs
@@ -27,7 +25,7 @@ from lambent_server.outcomes import requeue, succeed
 from lambent_server.problems import Problem
 from lambent_server.secrets import is_token_of
 from lambent_server.services import Services
-from lambent_server.store import Blob, find_blob, hash_file
+from lambent_server.store import Blob, find_blob
 from lambent_server.worker_certificates import Certificate
 from lambent_server.worker_gate import THREADS, Gatekeeper, Shares
 
@@ -52,7 +50,9 @@ def _abort(context: grpc.ServicerContext, error: Exception) -> NoReturn:
     if isinstance(error, Refused):
         context.abort(error.code, str(error))
     if isinstance(error, Problem):
-        context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"{error.code}: {error.detail}")
+        # The run tries again what another time may bring, such as a full disk.
+        code = grpc.StatusCode.UNAVAILABLE if error.retryable else grpc.StatusCode.INVALID_ARGUMENT
+        context.abort(code, f"{error.code}: {error.detail}")
     # The run keeps retrying: an unavailable database or a full disk is not its fault.
     problem = away(error)
     if problem is None:
@@ -67,9 +67,14 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     """The implementation of the service for run processes."""
 
     def __init__(
-        self, services: Services, secret: str, servers: Callable[[str], Sequence[str]] = lambda _: ()
+        self,
+        services: Services,
+        secret: str,
+        servers: Callable[[str], Sequence[str]] = lambda _: (),
+        shares: Shares | None = None,
     ) -> None:
         """Prepare; `servers` returns where the runs of a host reach the servers."""
+        self._shares = shares or Shares.of(services.settings)
         self._services = services
         self._secret = secret
         self._servers = servers
@@ -109,15 +114,30 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         *,
         even_if_ended: bool = False,
         signal: bool = True,
+        given: Message | None = None,
     ) -> Reply:
-        """Run `act` in one transaction, if the request comes from the current run."""
+        """Run `act` in one transaction, if the request comes from the current run.
+
+        A run that reports too much with `given` fails.
+        """
         try:
             self._authenticate(context, fence)
-            with self._services.database.write() as connection:
+            with (
+                self._shares.timed(fence.job_id, fence.run) as begin,
+                self._services.database.write() as connection,
+            ):
+                begin()
                 job = self._current_job(connection, fence)
                 if not even_if_ended:
                     self._require_active(job, fence)
-                reply = act(connection, job)
+                too_much = report_limits.excess(given, job)
+                if too_much:
+                    report_limits.end(connection, job, too_much, self._services.settings)
+                else:
+                    reply = act(connection, job)
+            if too_much:
+                self._services.wakeups.signal()
+                raise Refused(grpc.StatusCode.INVALID_ARGUMENT, f"{report_limits.CODE}: {too_much}")
         except (Refused, Problem, SQLAlchemyError, OSError) as error:
             _abort(context, error)
         if signal:
@@ -168,7 +188,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             run_reports.store_report(connection, job, request, self._services.settings)
             return worker_pb2.ReportResponse(stop=_must_stop(job), servers=self._servers_for(job))
 
-        return self._answer(context, request.fence, act)
+        return self._answer(context, request.fence, act, given=request)
 
     def ReportScene(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Store the findings and measurements of the scene."""
@@ -185,42 +205,24 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         if first is None or not first.HasField("header"):
             _abort(context, Refused(grpc.StatusCode.INVALID_ARGUMENT, "the first message names the blob"))
         header = first.header
-        with tempfile.NamedTemporaryFile(dir=self._services.settings.scratch) as file:
-
-            def act(_connection: Connection, job: Job) -> Job:
-                return job
-
-            # Check the run first: a stale one must not even fill the disk.
-            job = self._answer(context, header.fence, act, signal=False)
-            try:
-                for message in request_iterator:
-                    file.write(message.data)
-                    if file.tell() > header.size_bytes:
-                        raise Refused(
-                            grpc.StatusCode.INVALID_ARGUMENT,
-                            f"{header.size_bytes:.0f} bytes were announced, but more were sent",
-                        )
-                file.flush()
-                if hash_file(Path(file.name)) != header.sha256:
-                    raise Refused(grpc.StatusCode.DATA_LOSS, "the bytes do not match the announced hash")
-                created = self._services.store.put_file(
-                    self._services.database.write,
-                    owner(job),
-                    Path(file.name),
-                    header.sha256,
-                    header.media_type or "application/octet-stream",
-                )
-            except (Refused, SQLAlchemyError, OSError) as error:
-                _abort(context, error)
+        # Check the run first: a stale one must not even fill the disk.
+        job = self._answer(context, header.fence, lambda _, job: job, signal=False)
+        try:
+            created = worker_uploads.receive(self._services, owner(job), header, request_iterator)
+        except worker_uploads.BrokenUploadError as error:
+            _abort(context, Refused(grpc.StatusCode.DATA_LOSS, str(error)))
+        except (Problem, SQLAlchemyError, OSError) as error:
+            _abort(context, error)
         return worker_pb2.PutBlobResponse(created=created)
 
     def GetBlob(self, request: Any, context: Any) -> Iterator[Any]:  # noqa: N802
         """Send a file that the job's tenant may read."""
-
-        def act(connection: Connection, job: Job) -> Blob:
-            return _require_blob(connection, job, request.sha256)
-
-        blob = self._answer(context, request.fence, act, signal=False)
+        blob = self._answer(
+            context,
+            request.fence,
+            lambda connection, job: _require_blob(connection, job, request.sha256),
+            signal=False,
+        )
         try:
             for chunk in self._services.store.read(blob.sha256, blob.size_bytes):
                 # The store decides the size of its pieces, and the channel limits the size of a message.
@@ -267,7 +269,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             run_reports.store_checkpoint(connection, job, request.manifest)
             return worker_pb2.CommitCheckpointResponse()
 
-        return self._answer(context, request.fence, act)
+        return self._answer(context, request.fence, act, given=request)
 
     def Publish(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Publish the result and complete the job; repeating it returns the same answer."""
@@ -284,7 +286,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             succeed(connection, job, bundle_id=bundle_id)
             return worker_pb2.PublishResponse(bundle_id=bundle_id or "")
 
-        return self._answer(context, request.fence, act, even_if_ended=True)
+        return self._answer(context, request.fence, act, even_if_ended=True, given=request)
 
     def Finish(self, request: Any, context: Any) -> Any:  # noqa: N802
         """End a run without a bundle."""
@@ -355,7 +357,7 @@ def serve_workers(
     `servers` returns where the runs of a host reach the servers. Raises OSError if the address is in use.
     """
     settings = services.settings
-    shares = Shares(settings.worker_calls, settings.worker_calls_per_s)
+    shares = Shares.of(settings)
     server = grpc.server(
         ThreadPoolExecutor(max_workers=THREADS, thread_name_prefix="worker-service"),
         interceptors=[Gatekeeper(secret, shares)],
@@ -368,7 +370,8 @@ def serve_workers(
             ("grpc.http2.min_ping_interval_without_data_ms", 10_000),
         ],
     )
-    worker_pb2_grpc.add_WorkerServiceServicer_to_server(WorkerServicer(services, secret, servers), server)
+    servicer = WorkerServicer(services, secret, servers, shares)
+    worker_pb2_grpc.add_WorkerServiceServicer_to_server(servicer, server)
     server.add_insecure_port(address)
     if network is not None:
         try:

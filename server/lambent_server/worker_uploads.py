@@ -1,22 +1,65 @@
-"""Files that run processes exchange with the store directly."""
+"""Files of run processes: what they send to this server, and what they exchange with the store."""
 
+import hashlib
 import re
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 from lambent_proto.v1 import worker_pb2
 
-from lambent_server import claims
+from lambent_server import claims, reservations
+from lambent_server.accounts import quotas
+from lambent_server.archives import write_all
 from lambent_server.database.tenancy import Tenant
 from lambent_server.direct import direct_uploads
+from lambent_server.disk_space import RUNS_PART
 from lambent_server.problems import Problem, invalid
 from lambent_server.services import Services
 from lambent_server.store import Blob, damaged, touch
+from lambent_server.uploads import storing
 
 
 class BrokenUploadError(Exception):
     """What was sent does not match its hash."""
 
 
-def _checked(request: worker_pb2.PlanUploadRequest | worker_pb2.CompleteUploadRequest) -> int:
+def receive(
+    services: Services, tenant: Tenant, header: worker_pb2.BlobHeader, messages: Iterator[Any]
+) -> bool:
+    """Store a file that a run sends, and return whether it is new to the tenant.
+
+    Raises BrokenUploadError if it does not match its hash, and `disk_floor` where uploads of people have long
+    been refused: runs may use half of what those leave free.
+    """
+    settings = services.settings
+    announced = _checked(header)
+    most = min(announced, settings.run_file_bytes or announced)
+    digest, size = hashlib.sha256(), 0
+    with (
+        tempfile.NamedTemporaryFile(dir=settings.scratch, buffering=0) as file,
+        services.space.body(tenant.id, floor_part=RUNS_PART) as body,
+    ):
+        body.expect(most)
+        for message in messages:
+            size += len(message.data)
+            if size > most:
+                detail = f"{announced} bytes were announced and {most} are allowed, but more came"
+                raise Problem(413, "body_too_large", detail)
+            digest.update(message.data)
+            with body.writing(len(message.data)):
+                write_all(file.fileno(), message.data)
+        if digest.hexdigest() != header.sha256:
+            raise BrokenUploadError("the bytes do not match the announced hash")
+        path, media_type = Path(file.name), header.media_type or "application/octet-stream"
+        with storing(services, path, RUNS_PART):
+            return services.store.put_file(services.database.write, tenant, path, header.sha256, media_type)
+
+
+def _checked(
+    request: worker_pb2.PlanUploadRequest | worker_pb2.CompleteUploadRequest | worker_pb2.BlobHeader,
+) -> int:
     """Return the size of the file, having checked it and the hash."""
     if not re.fullmatch("[0-9a-f]{64}", request.sha256):
         raise invalid("invalid_request", "#/sha256", "this is no SHA-256")
@@ -38,7 +81,11 @@ def plan(
         known = touch(connection, tenant, request.sha256) == size_bytes
     if known and services.store.holds(request.sha256, size_bytes):
         return worker_pb2.PlanUploadResponse(stored=True, direct=True)
-    offers = direct.offers(tenant, {request.sha256: size_bytes})
+    wanted = {request.sha256: size_bytes}
+    with services.database.write() as connection:
+        # What runs store is counted and not refused.
+        quotas.reserve_bytes(connection, tenant, services.settings, wanted, refuse=False)
+    offers = direct.offers(tenant, wanted)
     return worker_pb2.PlanUploadResponse(
         direct=bool(offers),
         parts=[
@@ -66,6 +113,8 @@ def complete(
     try:
         blob = Blob(request.sha256, _checked(request), media_type)
         direct.accept(services.database.write, tenant, blob)
+        with services.database.write() as connection:
+            reservations.use(connection, tenant, request.sha256, services.settings)
     except Problem as problem:
         if problem.code == "upload_missing":
             return worker_pb2.CompleteUploadResponse(missing=True)

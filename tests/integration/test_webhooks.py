@@ -17,6 +17,7 @@ from lambent_server.services import Services
 from lambent_server.settings import Settings
 from lambent_server.wakeups import Wakeups
 from lambent_server.webhook_claims import Outcome, claim, lease_s, settle
+from lambent_server.webhook_places import Places
 from lambent_server.webhook_sender import Sender
 from support.api import Api, expect, opened
 from support.databases import postgresql
@@ -133,10 +134,11 @@ def test_a_claim_is_given_to_one_and_again_only_when_it_has_ended(
     with opened(tmp_path / "data", webhook_per_host=50, **receiver.settings, **database) as api:
         ids = many(api, receiver, 12)
         settings: Settings = api.services.settings
+        four = settings.model_copy(update={"webhook_concurrency": 4, "tenant_share": 1.0})
 
         def take(_: int) -> list[dict[str, Any]]:
             with contextlib.closing(Database(settings.database_url)) as own:
-                return claim(own, settings, 4, {})
+                return claim(own, settings, Places(four))
 
         with ThreadPoolExecutor(6) as pool:
             claimed = [row for rows in pool.map(take, range(6)) for row in rows]
@@ -145,7 +147,7 @@ def test_a_claim_is_given_to_one_and_again_only_when_it_has_ended(
         assert sorted(row["id"] for row in claimed) == ids
         late = time.time() + lease_s(settings) + 1.0
         monkeypatch.setattr("lambent_server.webhook_claims.now", lambda: late)
-        (again, *_) = claim(api.services.database, settings, 1, {})
+        (again, *_) = claim(api.services.database, settings, Places(four))
         first = next(row for row in claimed if row["id"] == again["id"])
         # The first one comes back after all: what it says no longer counts.
         assert settle(api.services.database, settings, first, Outcome(status=410, error="status")) is None

@@ -10,8 +10,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from lambent_server.database.engine import Database
 from lambent_server.database.schema import jobs, render_orders
+from lambent_server.database.service_schema import tenant_turns
+from lambent_server.database.tenancy import Tenant
 from lambent_server.job_rows import FINAL
-from lambent_server.queue_order import QueueOrder
+from lambent_server.queue_order import QueueOrder, had_turn
 from sqlalchemy import delete, insert
 from support.databases import without_tables
 
@@ -55,18 +57,21 @@ def queues(draw: st.DrawFn) -> list[Waiting]:
     return found
 
 
-def expected(queue: list[Waiting], load: Counter[str], free_gpus: int, num_slots: int) -> list[str]:
+def expected(
+    queue: list[Waiting], load: Counter[str], free_gpus: int, num_slots: int, turns: dict[str, int]
+) -> list[str]:
     """Return the jobs that start, from sorting all of them again for every one."""
-    load, found = load.copy(), []
+    load, turns, found = load.copy(), turns.copy(), []
     waiting = [job for job in queue if job.state == "queued" and not job.has_process]
     waiting = [job for job in waiting if job.shard != SUMMARY or not has_open_part(job, queue)]
     while waiting and len(found) < num_slots:
-        waiting.sort(key=lambda job: (-job.priority, load[job.tenant], job.id))
+        waiting.sort(key=lambda job: (load[job.tenant], turns.get(job.tenant, 0), -job.priority, job.id))
         job = waiting.pop(0)
         if job.gpus <= free_gpus:
             found.append(job.id)
             free_gpus -= job.gpus
             load[job.tenant] += 1
+            turns[job.tenant] = max(turns.values(), default=0) + 1
     return found
 
 
@@ -87,7 +92,7 @@ def chosen(database: Database, load: Counter[str], free_gpus: int, num_slots: in
     return found
 
 
-def store(database: Database, queue: list[Waiting]) -> None:
+def store(database: Database, queue: list[Waiting], turns: dict[str, int] | None = None) -> None:
     common = {
         "kind": "train",
         "scene_id": "x",
@@ -113,6 +118,9 @@ def store(database: Database, queue: list[Waiting]) -> None:
     ]
     with database.write() as connection:
         connection.execute(delete(jobs))
+        connection.execute(delete(tenant_turns))
+        for tenant, turn in (turns or {}).items():
+            connection.execute(insert(tenant_turns).values(tenant_id=tenant, turn=turn))
         if values:
             connection.execute(insert(jobs), values)
 
@@ -139,16 +147,23 @@ def database(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     load=st.dictionaries(st.sampled_from("abc"), st.integers(0, 3)),
     free_gpus=st.integers(0, 3),
     num_slots=st.integers(1, 6),
+    turns=st.dictionaries(st.sampled_from("abc"), st.integers(0, 3)),
 )
 def test_the_next_job_is_the_first_of_the_sorted_queue(
-    database: Database, queue: list[Waiting], load: dict[str, int], free_gpus: int, num_slots: int
+    database: Database,
+    queue: list[Waiting],
+    load: dict[str, int],
+    free_gpus: int,
+    num_slots: int,
+    turns: dict[str, int],
 ):
-    store(database, queue)
+    store(database, queue, turns)
     busy = Counter(load)
-    assert chosen(database, busy, free_gpus, num_slots) == expected(queue, busy, free_gpus, num_slots)
+    wanted = expected(queue, busy, free_gpus, num_slots, turns)
+    assert chosen(database, busy, free_gpus, num_slots) == wanted
 
 
-def test_the_rule_is_priority_then_few_runs_then_age(database: Database):
+def test_the_rule_is_few_runs_then_priority_then_age(database: Database):
     job = Waiting("job_5", "a", 0, 0, "queued", False, None, None)
     queue = [
         job,
@@ -157,5 +172,23 @@ def test_the_rule_is_priority_then_few_runs_then_age(database: Database):
         replace(job, id="job_4", gpus=1),
     ]
     store(database, queue)
-    assert chosen(database, Counter(a=1), 0, 4) == ["job_6", "job_7", "job_5"]
+    assert chosen(database, Counter(a=1), 0, 4) == ["job_7", "job_6", "job_5"]
     assert chosen(database, Counter(b=5), 1, 4) == ["job_6", "job_4", "job_5", "job_7"]
+
+
+def test_no_priority_starves_another_tenant_on_a_single_slot(database: Database):
+    urgent = [Waiting(f"job_{n}", "a", 100, 0, "queued", False, None, None) for n in range(8)]
+    modest = [
+        Waiting(f"job_9{n}", tenant, -5, 0, "queued", False, None, None) for n, tenant in enumerate("bc")
+    ]
+    store(database, [*urgent, *modest])
+    started = []
+    for _ in range(6):
+        # Each run has ended before the next one starts, so that no tenant ever has a run.
+        (job_id,) = chosen(database, Counter(), 0, 1)
+        started.append(job_id)
+        tenant = next(job.tenant for job in (*urgent, *modest) if job.id == job_id)
+        with database.write() as connection:
+            had_turn(connection, Tenant(tenant))
+            connection.execute(delete(jobs).where(jobs.c.id == job_id))
+    assert started == ["job_0", "job_90", "job_91", "job_1", "job_2", "job_3"]

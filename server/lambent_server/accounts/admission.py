@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection
 
+from lambent_server import reservations
 from lambent_server.accounts import audit, quotas
 from lambent_server.accounts.who import Who
 from lambent_server.settings import Settings
@@ -18,11 +19,12 @@ class Admission:
     action: str
     """Of the entries."""
 
-    def expected(self, connection: Connection, size_bytes: float) -> None:
+    def expected(self, connection: Connection, sha256: str, size_bytes: float) -> None:
         """Refuse bytes for which there is no room, before they are written."""
-        quotas.check_bytes(connection, self.who.tenant, self.settings, size_bytes)
+        quotas.check_bytes(connection, self.who.tenant, self.settings, size_bytes, of=(sha256,))
 
     def added(self, connection: Connection, sha256: str) -> None:
         """Refuse them if others have used the room meanwhile; record them otherwise."""
+        reservations.use(connection, self.who.tenant, sha256, self.settings)
         quotas.check_bytes(connection, self.who.tenant, self.settings)
         audit.record(connection, self.who, self.action, sha256)

@@ -4,11 +4,13 @@ Each is checked in the transaction that uses it, and while it is checked no othe
 organisation can: concurrent requests never pass a limit together.
 """
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import Connection, func, select
 
+from lambent_server import reservations
 from lambent_server.accounts import organisations, usage
 from lambent_server.clock import now
 from lambent_server.database.tenancy import Tenant
@@ -75,19 +77,51 @@ def check_gpu_minutes(limit: float | None, used: float, more: float) -> None:
         raise _used_up(429, "quota_gpu_minutes", detail, GPU_MINUTES, limit, round(used, 1), retry_s=3600)
 
 
-def check_bytes(connection: Connection, tenant: Tenant, settings: Settings, more: float = 0.0) -> None:
-    """Refuse to store `more` bytes if they and those that are stored are above the limit.
+def check_bytes(
+    connection: Connection,
+    tenant: Tenant,
+    settings: Settings,
+    more: float = 0.0,
+    *,
+    of: Collection[str] = (),
+) -> None:
+    """Refuse to store `more` bytes if they and those that are stored or reserved are above the limit.
 
+    `of` are the hashes of the files that these bytes belong to: what is reserved for them does not count.
     After a blob was added in the same transaction, its sum is locked until the end, so that two
     transactions cannot both find that theirs still fits.
     """
     limit = quotas_of(connection, tenant, settings).bytes
     if limit is None:
         return
-    used = usage.amount(connection, tenant, usage.BYTES)
+    used = used_bytes(connection, tenant, but=of)
     if used + more > limit:
-        detail = f"this needs {used + more:.0f} bytes with what is stored, {limit:.0f} are allowed"
-        raise _used_up(507, "quota_bytes", f"{detail}; delete something", BYTES, limit, used)
+        raise bytes_used_up(limit, used, more)
+
+
+def used_bytes(connection: Connection, tenant: Tenant, but: Collection[str] = ()) -> float:
+    """Return how many bytes of the quota are used: by files that are stored, and by those that may be sent.
+
+    Of the latter, those of the hashes `but` are left out.
+    """
+    return usage.amount(connection, tenant, usage.BYTES) + reservations.amount(connection, tenant, but)
+
+
+def reserve_bytes(
+    connection: Connection, tenant: Tenant, settings: Settings, sizes: Mapping[str, int], *, refuse: bool
+) -> None:
+    """Keep room for files by hash and size in bytes; with `refuse` only if there is that much."""
+    # SQLite has only one writer, and otherwise two plans could each find that theirs fits.
+    lock(connection, tenant)
+    if refuse:
+        check_bytes(connection, tenant, settings, float(sum(sizes.values())), of=sizes.keys())
+    reservations.keep(connection, tenant, sizes, settings)
+
+
+def bytes_used_up(limit: float, used: float, more: float) -> Problem:
+    """Return the problem of `more` bytes than there is room for."""
+    detail = f"this needs {used + more:.0f} bytes with what is stored or being sent, {limit:.0f} are allowed"
+    return _used_up(507, "quota_bytes", f"{detail}; delete something", BYTES, limit, used)
 
 
 def month_used(connection: Connection, tenant: Tenant) -> float:

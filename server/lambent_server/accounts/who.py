@@ -43,6 +43,11 @@ class Who:
         return self.id if self.kind == "user" else None
 
     @property
+    def client(self) -> str:
+        """Return the name of the one who has a client's share of what there is."""
+        return f"{self.kind} {self.id}"
+
+    @property
     def maker(self) -> Maker:
         """Return with whom the one-time links end that this one makes."""
         if self.kind == "key":

@@ -1,6 +1,6 @@
 """Tables of what the server tells others, and of what its operators have told it."""
 
-from sqlalchemy import JSON, Column, Index, PrimaryKeyConstraint, Table, Text
+from sqlalchemy import JSON, Column, Double, Index, PrimaryKeyConstraint, Table, Text
 
 from lambent_server.database.columns import (
     count_column,
@@ -76,6 +76,7 @@ webhook_deliveries = Table(
     Column("attempts", JSON, nullable=False),
     optional_time_column("ended_at"),
     Index(None, "next_at"),
+    Index(None, "tenant_id", "next_at"),
     Index(None, "tenant_id", "id"),
     Index(None, "webhook_id"),
     Index(None, "job_id"),
@@ -102,4 +103,25 @@ server_state = Table(
     time_column("since"),
     text_column("message"),
     count_column("retry_after_s"),
+)
+
+# Which tenants a run was started for last: the larger the number, the later.
+tenant_turns = Table(
+    "tenant_turns",
+    metadata,
+    Column("tenant_id", Text, primary_key=True),
+    count_column("turn"),
+)
+
+# Files that may be sent to the bucket now: they count as stored until they are, or until this ends.
+upload_reservations = Table(
+    "upload_reservations",
+    metadata,
+    text_column("tenant_id"),
+    text_column("sha256"),
+    # 0 once the file is stored: only its addresses are still valid
+    Column("size_bytes", Double, nullable=False),
+    time_column("expires_at"),
+    PrimaryKeyConstraint("tenant_id", "sha256"),
+    Index(None, "expires_at"),
 )

@@ -22,7 +22,8 @@ from lambent_server.http.identity import cookie_token, share_of_token, who_of_ke
 from lambent_server.http.login_header import LOGIN_NAME
 from lambent_server.http.rates import Rates
 from lambent_server.http.rechecks import Identify, Rechecks
-from lambent_server.http.request import PUBLIC, SAFE, App, Exchange, Receive, Scope, Send
+from lambent_server.http.request import PUBLIC, SAFE, App, Exchange, Message, Receive, Scope, Send
+from lambent_server.http.request_turns import TURN, Turn, turns
 from lambent_server.outages import away
 from lambent_server.outside_text import check_target
 from lambent_server.problems import Problem
@@ -52,6 +53,7 @@ class Gate:
         self._share_secret = share_secret
         self._budget = budget
         self._rates = Rates(services.settings)
+        self._turns = turns(services.settings)
         self._rechecks = Rechecks(services.settings.stream_ping_s / 3)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -128,7 +130,20 @@ class Gate:
             if _counts_as_write(scope):
                 self._rates.take(who.tenant.id, scope["state"]["credential"])
         request.check_length(headers)
-        await self._app(scope, request.receive, request.send)
+        if who is None:
+            await self._app(scope, request.receive, request.send)
+            return
+        turn = scope["state"][TURN] = Turn(self._turns, who.tenant.id, scope["state"]["credential"])
+
+        async def send(message: Message) -> None:
+            # The client takes the response at its own pace.
+            await turn.leave()
+            await request.send(message)
+
+        try:
+            await self._app(scope, request.receive, send)
+        finally:
+            await turn.leave()
 
     def _check_host(self, headers: Headers) -> None:
         hosts = headers.getlist("host")

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from fastapi import APIRouter
 
 from lambent_server import scene_rows
+from lambent_server.accounts import quotas
 from lambent_server.accounts.admission import Admission
 from lambent_server.clock import rfc3339
 from lambent_server.database.schema import scene_files
@@ -32,9 +33,13 @@ MEDIA_TYPE = "application/octet-stream"
 
 
 def offers(services: Services, tenant: Tenant, wanted: Mapping[str, int]) -> list[FileUpload]:
-    """Return where to send files, by hash and size in bytes."""
+    """Return where to send files, by hash and size in bytes; they count for the quota from now on."""
     direct = direct_uploads(services.store, services.settings)
-    return [] if direct is None else [_show(offer) for offer in direct.offers(tenant, wanted)]
+    if direct is None or not wanted:
+        return []
+    with services.database.write() as connection:
+        quotas.reserve_bytes(connection, tenant, services.settings, wanted, refuse=True)
+    return [_show(offer) for offer in direct.offers(tenant, wanted)]
 
 
 def _show(offer: Offer) -> FileUpload:

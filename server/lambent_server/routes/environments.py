@@ -14,6 +14,7 @@ from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import environments
 from lambent_server.database.tenancy import Tenant, add, find
 from lambent_server.decoding import environment_head
+from lambent_server.disk_space import Allowance
 from lambent_server.environment_files import MEDIA_TYPES
 from lambent_server.idempotency import made_before
 from lambent_server.messages import Environment, EnvironmentList
@@ -22,7 +23,7 @@ from lambent_server.problems import not_found
 from lambent_server.routes.common import Id, ServicesOf, TenantOf, WhoOf, binary_body, problems
 from lambent_server.routes.resources import IdempotencyKey, ResourceRoute, digest_of
 from lambent_server.services import Services
-from lambent_server.uploads import Upload, received
+from lambent_server.uploads import Upload, allowance_of, received, storing
 
 router = APIRouter(tags=["environments"], route_class=ResourceRoute)
 
@@ -54,15 +55,23 @@ async def create_environment(
 
     Light probes and cubes are converted to latitude-longitude by the job, which may state the layout.
     """
-    async with received(services, request, services.settings.max_environment_bytes) as upload:
-        return await to_thread.run_sync(_take, services, who, name, upload, key, limiter=services.decoders)
+    allowance = await to_thread.run_sync(_allowance, services, tenant)
+    max_bytes = services.settings.max_environment_bytes
+    async with received(services, request, tenant, max_bytes, allowance) as upload:
+        return await services.decoders.run(tenant.id, who.client, _take, services, who, name, upload, key)
+
+
+def _allowance(services: Services, tenant: Tenant) -> Allowance | None:
+    with services.database.read() as connection:
+        return allowance_of(connection, services, tenant)
 
 
 def _take(services: Services, who: Who, name: str, upload: Upload, key: str | None) -> Environment:
     head, tenant = environment_head(upload.path, services.settings), who.tenant
     admission = Admission(who=who, settings=services.settings, action="create_environment")
     sent = (upload.path, upload.sha256, MEDIA_TYPES[head.format], admission)
-    services.store.put_file(services.database.write, tenant, *sent)
+    with storing(services, upload.path):
+        services.store.put_file(services.database.write, tenant, *sent)
     identifier, digest = new_id("env"), digest_of("environment", name, upload.sha256)
     with services.database.write() as connection:
         known = made_before(connection, tenant, key, digest, identifier)

@@ -150,7 +150,7 @@ def change_job(
     with services.database.write() as connection:
         job = job_queries.require_job(connection, tenant, job_id, lock=True)
         require_match(if_match, job_queries.show(connection, tenant, job))
-        job_queries.change_job(connection, tenant, job, body)
+        job_queries.change_job(connection, tenant, job, body, services.settings)
         shown = job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, job_id))
         audit.record(connection, who, "change_job", job_id)
     services.wakeups.signal()

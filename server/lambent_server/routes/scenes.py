@@ -16,6 +16,7 @@ from lambent_server.archives import unpack
 from lambent_server.change_messages import SceneChange
 from lambent_server.database.schema import scene_files, scenes
 from lambent_server.database.tenancy import Tenant, rows
+from lambent_server.disk_space import Allowance
 from lambent_server.label_rows import having
 from lambent_server.messages import NewScene, PlannedFile, Scene, SceneList, SceneReportAnswer
 from lambent_server.pagination import LabelFilter, select_newest
@@ -26,8 +27,9 @@ from lambent_server.routes.resources import IdempotencyKey, IfMatch, ResourceRou
 from lambent_server.scene_figures import find_figures
 from lambent_server.scene_rows import SceneFile
 from lambent_server.services import Services
+from lambent_server.store import find_blob
 from lambent_server.upload_messages import Plan
-from lambent_server.uploads import Upload, received
+from lambent_server.uploads import ArchiveRoom, Upload, allowance_of, received, storing
 
 router = APIRouter(tags=["scenes"], route_class=ResourceRoute)
 
@@ -83,7 +85,7 @@ def plan_files(
         plan = scene_rows.plan(connection, tenant, scene, files)
         sizes = {file.sha256: file.size_bytes for file in files}
         new_bytes = sum(sizes[sha256] for sha256 in plan.missing)
-        quotas.check_bytes(connection, tenant, services.settings, float(new_bytes))
+        quotas.check_bytes(connection, tenant, services.settings, float(new_bytes), of=set(plan.missing))
         audit.record(connection, who, "plan_files", scene_id, details={"files": len(files)})
     missing = sorted({*plan.missing, *services.store.damaged(plan.known)})
     first = offers(services, tenant, {sha256: sizes[sha256] for sha256 in missing[:FIRST_UPLOADS]})
@@ -101,8 +103,8 @@ async def put_file(
     services: ServicesOf, tenant: TenantOf, who: WhoOf, scene_id: Id, sha256: Sha, request: Request
 ) -> Response:
     """Upload a planned file under its hash; repeating it changes nothing."""
-    size = await to_thread.run_sync(_planned_size, services, tenant, scene_id, sha256)
-    async with received(services, request, size) as upload:
+    size, allowance = await to_thread.run_sync(_planned_size, services, tenant, scene_id, sha256)
+    async with received(services, request, tenant, size, allowance) as upload:
         if upload.sha256 != sha256:
             raise invalid(
                 "digest_mismatch", "#", f"the body has the hash {upload.sha256}, the path says {sha256}"
@@ -111,22 +113,28 @@ async def put_file(
     return Response(status_code=204)
 
 
-def _planned_size(services: Services, tenant: Tenant, scene_id: str, sha256: str) -> int:
+def _planned_size(
+    services: Services, tenant: Tenant, scene_id: str, sha256: str
+) -> tuple[int, Allowance | None]:
+    """Return the size of a planned file, and what the quota allows: it ignores a file that is stored."""
     with services.database.read() as connection:
         scene_rows.require_open(scene_rows.require_scene(connection, tenant, scene_id))
         planned = rows(tenant, scene_files, scene_files.c.size_bytes).where(
             scene_files.c.scene_id == scene_id, scene_files.c.sha256 == sha256
         )
         size = connection.execute(planned.limit(1)).scalar_one_or_none()
-    if size is None:
-        raise invalid("file_not_planned", "#/path/sha256", "no planned file of this scene has this hash")
-    return int(size)
+        if size is None:
+            raise invalid("file_not_planned", "#/path/sha256", "no planned file of this scene has this hash")
+        if find_blob(connection, tenant, sha256) is not None:
+            return int(size), None
+        return int(size), allowance_of(connection, services, tenant, sha256)
 
 
 def _store(services: Services, who: Who, path: Path, sha256: str, action: str) -> None:
     admission = Admission(who=who, settings=services.settings, action=action)
     write, media_type = services.database.write, "application/octet-stream"
-    services.store.put_file(write, who.tenant, path, sha256, media_type, admission)
+    with storing(services, path):
+        services.store.put_file(write, who.tenant, path, sha256, media_type, admission)
 
 
 @router.put(
@@ -140,23 +148,29 @@ async def put_archive(
     services: ServicesOf, tenant: TenantOf, who: WhoOf, scene_id: Id, request: Request
 ) -> Scene:
     """Upload the scene as zip, tar or tar.gz; it is committed once the archive has passed all checks."""
-    await to_thread.run_sync(_require_open, services, tenant, scene_id)
-    async with received(services, request, services.settings.max_scene_bytes) as upload:
-        return await to_thread.run_sync(
-            _take_archive, services, who, scene_id, upload, limiter=services.decoders
+    allowance = await to_thread.run_sync(_require_open, services, tenant, scene_id)
+    async with received(services, request, tenant, services.settings.max_scene_bytes, allowance) as upload:
+        return await services.decoders.run(
+            tenant.id, who.client, _take_archive, services, who, scene_id, upload
         )
 
 
-def _require_open(services: Services, tenant: Tenant, scene_id: str) -> None:
+def _require_open(services: Services, tenant: Tenant, scene_id: str) -> Allowance | None:
+    """Refuse a scene that takes no files any more, and return what the quota allows."""
     with services.database.read() as connection:
         scene_rows.require_open(scene_rows.require_scene(connection, tenant, scene_id))
+        return allowance_of(connection, services, tenant)
 
 
 def _take_archive(services: Services, who: Who, scene_id: str, upload: Upload) -> Scene:
     tenant = who.tenant
-    with tempfile.TemporaryDirectory(dir=services.settings.scratch) as name:
+    with (
+        tempfile.TemporaryDirectory(dir=services.settings.scratch) as name,
+        services.space.body(tenant.id) as body,
+    ):
         try:
-            members, left_out = unpack(upload.path, Path(name), services.settings)
+            room = ArchiveRoom(services, tenant, body)
+            members, left_out = unpack(upload.path, Path(name), services.settings, room)
         except Problem as problem:
             if problem.retryable:
                 raise

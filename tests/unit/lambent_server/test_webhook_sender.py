@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import socket
 import ssl
 import subprocess
 import time
@@ -13,7 +14,8 @@ import pytest
 from lambent.webhooks import verify
 from lambent_server.job_rows import SUCCEEDED, move
 from lambent_server.webhook_sender import Sender, look_up
-from support.api import TENANT, Api, expect, opened
+from support.api import STRANGER_KEY, TENANT, Api, expect, opened
+from support.databases import postgresql
 from support.live_server import wait_until
 from support.webhook_receiver import Receiver, receiving
 
@@ -200,6 +202,42 @@ def test_one_receiver_gets_few_at_once_and_does_not_hold_up_another(tmp_path: Pa
             for each in many:
                 assert ended(api, each)["state"] == "delivered"
     assert receiver.most_at_once == 2
+
+
+@pytest.fixture
+def hanging() -> Iterator[int]:
+    """Yield a port that accepts connections and never answers."""
+    with socket.create_server(("127.0.0.1", 0), backlog=256) as server:
+        yield server.getsockname()[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["sqlite", pytest.param("postgresql", marks=pytest.mark.services)])
+def test_a_tenant_whose_receivers_all_hang_delays_nobody_else(
+    tmp_path: Path, receiver: Receiver, hanging: int, kind: str
+):
+    with contextlib.ExitStack() as stack:
+        given: dict[str, Any] = {"webhook_ports": (receiver.port, hanging), "webhook_timeout_s": 6.0}
+        if kind == "postgresql":
+            given["database"] = stack.enter_context(postgresql())
+        resolver = lambda *_: ["127.0.0.1"]  # noqa: E731
+        api = stack.enter_context(delivering(tmp_path, receiver, resolver, **given))
+        scene = api.scene()
+        for number in range(100):
+            api.job(scene, webhook=f"http://h{number}.example:{hanging}/hook")
+        for job in api.get("/v1/jobs?limit=100").json()["items"]:
+            expect(api.post(f"/v1/jobs/{job['id']}:cancel"), 202)
+        other = api.other(STRANGER_KEY)
+        webhook = expect(other.post("/v1/webhooks", json={"url": receiver.url}), 201)
+        for _ in range(3):
+            time.sleep(1.0)
+            began = time.monotonic()
+            delivery = expect(other.post(f"/v1/webhooks/{webhook['id']}:ping"), 202)["id"]
+            path = f"/v1/deliveries/{delivery}"
+            wait_until(lambda path=path: other.get(path).json()["state"] == "delivered", 20)
+            assert time.monotonic() - began < 2.0
+        waiting = api.get("/v1/deliveries?state=pending&limit=100").json()["items"]
+        assert len(waiting) > 80
 
 
 def test_a_name_that_leads_inside_later_is_looked_up_again_and_refused(tmp_path: Path, receiver: Receiver):

@@ -7,9 +7,10 @@ from typing import Any
 
 import httpx2
 import pytest
+from lambent_server.accounts import organisations
 from lambent_server.housekeeping import sweep
 from lambent_server.reconciler import examine, reconcile
-from support.api import STRANGER_KEY, Api, expect, expect_problem, opened, sha256
+from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, sha256
 from support.s3_server import S3Server, with_credentials
 
 pytestmark = [pytest.mark.services, pytest.mark.slow]
@@ -230,6 +231,64 @@ def test_what_was_sent_and_never_taken_over_is_removed_when_it_is_old(
         assert examine(api.services).num_orphans == 0
         assert list(bucket.uploads("uploads/")) == []
         assert [key for key in server.keys("bucket") if "/uploads/" in key] == []
+
+
+def in_bucket(server: S3Server) -> int:
+    """Return how many bytes lie where files are sent."""
+    found = server.client().list_objects_v2(Bucket="bucket", Prefix="lambent/uploads/").get("Contents", ())
+    return sum(each["Size"] for each in found)
+
+
+def test_files_that_are_sent_and_never_taken_over_count_for_the_quota_until_they_are_deleted(
+    settings: dict[str, Any], server: S3Server, tmp_path: Path
+):
+    given = {"max_organisation_bytes": MIB, "store_reserved_s": 1.0, "store_url_s": 4.0}
+    with opened(tmp_path / "data", **settings, **given) as api:
+        refused = 0
+        for number in range(8):
+            data = bytes([number]) * 900_000
+            scene_id = expect(api.post("/v1/scenes", json={"name": "x"}), 201)["id"]
+            plan = [{"path": "a.png", "size": len(data), "sha256": sha256(data)}]
+            answer = api.post(f"/v1/scenes/{scene_id}/files:plan", json=plan)
+            if answer.status_code == 200:
+                assert send(answer.json()["uploads"][0]["parts"][0], data) == 200
+                first, sent = scene_id, data
+            else:
+                expect_problem(answer, 507, "quota_bytes")
+                refused += 1
+        assert refused == 7
+        assert in_bucket(server) == 900_000
+        # The same plan again is no further use, and the file that was reserved can be stored in either way.
+        again = [{"path": "a.png", "size": len(sent), "sha256": sha256(sent)}]
+        expect(api.post(f"/v1/scenes/{first}/files:plan", json=again), 200)
+        time.sleep(4.5)
+        sweep(api.services)
+        assert in_bucket(server) == 0
+        _, plan = planned(api, {"b.png": b"b" * 1_000_000})
+        assert len(plan["uploads"]) == 1
+
+
+def test_a_file_that_is_refused_in_the_end_does_not_stay_where_it_was_sent(
+    settings: dict[str, Any], server: S3Server, tmp_path: Path
+):
+    with opened(tmp_path / "data", **settings, max_organisation_bytes=MIB) as api:
+        scene_id, plan = planned(api, {"a.png": bytes(900_000)})
+        assert send(plan["uploads"][0]["parts"][0], bytes(900_000)) == 200
+        with api.services.database.write() as connection:
+            organisations.update(connection, TENANT, max_bytes=100)
+        assert complete(api, scene_id, bytes(900_000))["refused"][0]["code"] == "quota_bytes"
+        assert in_bucket(server) == 0
+
+
+def test_a_file_that_was_planned_for_the_store_may_be_sent_to_the_server_instead(
+    settings: dict[str, Any], tmp_path: Path
+):
+    with opened(tmp_path / "data", **settings, max_organisation_bytes=MIB) as api:
+        data = bytes(900_000)
+        scene_id, _ = planned(api, {"a.png": data})
+        expect(api.put(f"/v1/scenes/{scene_id}/files/{sha256(data)}", content=data), 204)
+        expect(api.post(f"/v1/scenes/{scene_id}:commit"), 200)
+        planned(api, {"b.png": b"b" * 100_000})
 
 
 def test_bytes_without_a_row_and_rows_without_bytes_are_found_in_a_bucket(

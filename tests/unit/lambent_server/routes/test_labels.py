@@ -74,6 +74,21 @@ def test_a_waiting_job_gets_another_turn_and_a_running_one_does_not(tmp_path: Pa
         assert stage.job(first)["state"] == "queued"
 
 
+def test_a_priority_above_that_of_the_operator_is_refused_wherever_it_is_given(tmp_path: Path):
+    with opened(tmp_path / "data", max_priority=10) as api:
+        job = api.job(priority=10)
+        order = {"scene_id": job["scene_id"], "preset": "tiny", "priority": 11}
+        asked = [
+            api.post("/v1/jobs", json=order),
+            api.patch(f"/v1/jobs/{job['id']}", json={"priority": 11}),
+        ]
+        for answer in asked:
+            problem = expect_problem(answer, 422, "priority_too_high")
+            assert problem["errors"][0]["pointer"] == "#/priority"
+            assert "up to 10 here, not 11" in problem["errors"][0]["message"]
+        assert api.get(f"/v1/jobs/{job['id']}").json()["priority"] == 10
+
+
 def test_a_name_of_a_scene_can_be_changed(api: Api):
     scene = api.scene()
     assert expect(api.patch(f"/v1/scenes/{scene}", json={"name": "after"}), 200)["name"] == "after"
