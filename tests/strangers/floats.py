@@ -1,0 +1,89 @@
+"""Files of light as floats: OpenEXR through its library, Radiance HDR byte by byte."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy import ndarray
+from strangers.colours import Space
+
+
+def write_exr(
+    path: Path,
+    planes: dict[str, ndarray],
+    *,
+    space: Space | None = None,
+    data_at: tuple[int, int] = (0, 0),
+    display: tuple[int, int] | None = None,
+    extra_parts: dict[str, dict[str, ndarray]] | None = None,
+) -> None:
+    """Write channels of half, float or unsigned numbers; `display` is width and height of the frame.
+
+    `data_at` is where the first stored pixel lies in the frame; `extra_parts` come before, by name.
+    """
+    import OpenEXR
+
+    def header(height: int, width: int) -> dict:
+        shown = display or (width, height)
+        found: dict = {
+            "compression": OpenEXR.ZIP_COMPRESSION,
+            "type": OpenEXR.scanlineimage,
+            "dataWindow": (
+                np.array(data_at, np.int32),
+                np.array([data_at[0] + width - 1, data_at[1] + height - 1], np.int32),
+            ),
+            "displayWindow": (np.zeros(2, np.int32), np.array([shown[0] - 1, shown[1] - 1], np.int32)),
+        }
+        if space is not None:
+            found["chromaticities"] = tuple((*space.primaries, *space.white))
+        return found
+
+    shape = next(iter(planes.values())).shape[:2]
+    channels = {name: np.ascontiguousarray(plane) for name, plane in planes.items()}
+    if not extra_parts:
+        OpenEXR.File(header(*shape), channels).write(str(path))
+        return
+    parts = [
+        OpenEXR.Part(header(*next(iter(part.values())).shape[:2]), part, name)
+        for name, part in extra_parts.items()
+    ]
+    OpenEXR.File([*parts, OpenEXR.Part(header(*shape), channels, "picture")]).write(str(path))
+
+
+def rgbe(light: ndarray) -> ndarray:
+    """Return pixels of red, green, blue and a shared exponent. Source: Ward, Graphics Gems II (1991)."""
+    top = light.max(axis=-1)
+    mantissa, exponent = np.frexp(np.maximum(top, 1e-30))
+    scale = mantissa * 256.0 / np.maximum(top, 1e-30)
+    bytes_ = np.zeros((*light.shape[:-1], 4), np.uint8)
+    bytes_[..., :3] = (light * scale[..., None]).clip(0, 255).astype(np.uint8)
+    bytes_[..., 3] = np.where(top > 1e-30, exponent + 128, 0)
+    bytes_[top <= 1e-30] = 0
+    return bytes_
+
+
+def rgbe_light(pixels: ndarray) -> ndarray:
+    """Return the light of such pixels; the middle of what a byte says is not taken, as Radiance's `colr` does.
+
+    Radiance itself adds half a step; readers differ, so that half a step is allowed.
+    """
+    scale = np.ldexp(1.0, pixels[..., 3].astype(int) - 136)
+    return np.where(pixels[..., 3:] > 0, pixels[..., :3] * scale[..., None], 0.0)
+
+
+def write_hdr(
+    path: Path, pixels: ndarray, *, header: tuple[str, ...] = (), coded: bool = True, rows: str = "-Y"
+) -> None:
+    """Write pixels of `rgbe`; `coded` packs rows by runs, `header` are lines such as PRIMARIES or EXPOSURE."""
+    height, width = pixels.shape[:2]
+    lines = ["#?RADIANCE", *header, "FORMAT=32-bit_rle_rgbe", "", f"{rows} {height} +X {width}", ""]
+    data = "\n".join(lines).encode()
+    for row in pixels:
+        if not coded:
+            data += row.tobytes()
+            continue
+        data += bytes([2, 2, width >> 8, width & 255])
+        for channel in range(4):
+            for start in range(0, width, 128):
+                part = row[start : start + 128, channel].tobytes()
+                data += bytes([len(part)]) + part
+    path.write_bytes(data)
