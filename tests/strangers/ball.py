@@ -1,4 +1,4 @@
-"""The capture that the corpus changes: a ball of one colour before grey, seen from eight cameras around it.
+"""The capture that the corpus changes: a ball of one colour before dark grey, seen from eight cameras around it.
 
 The ball's light is `BALL` in linear Rec. 709 and covers `COVER` of each photograph of `SIDE` x `SIDE` pixels.
 """
@@ -16,7 +16,7 @@ from support.captures import ring
 SIDE = 64
 COUNT = 8
 BALL = (0.6, 0.2, 0.1)
-GREY = 0.3
+GREY = 0.05
 COVER = 0.3086
 """Of the disc of 20 pixels around the middle."""
 ANGLE = 0.628318530717959

@@ -21,6 +21,7 @@ from strangers.ball import (
     COUNT,
     COVER,
     FOCAL,
+    GREY,
     SIDE,
     disc,
     levels,
@@ -247,7 +248,7 @@ _row("a20 two models", _two_models, or_said=("sparse/1",))
 _row("a20b the second model alone", _colmap("sparse/1"))
 _row("a20c model in sparse", _colmap("sparse"))
 _row("a20d colmap/sparse/0", _colmap("colmap/sparse/0"))
-_row("a20e model at the root", _colmap("model/..", model={"binary": False}))
+_row("a20e model at the root", _colmap(".", model={"binary": False}))
 _row("a20f sparse/0", _colmap("sparse/0"), light=BALL)
 
 # Layouts: photographs with what lies beside them.
@@ -584,13 +585,13 @@ _row("a30c hdr exposure", _posed(_radiance("linear", "EXPOSURE=2.0", scale=2.0),
 
 
 def _palette(path: Path, colours: np.ndarray, alpha: np.ndarray) -> None:
-    ball, grey = (levels(np.array([value])).tobytes() for value in (BALL, (0.3, 0.3, 0.3)))
+    ball, grey = (levels(np.array([value])).tobytes() for value in (BALL, (GREY,) * 3))
     index = (alpha > 0).astype(np.uint8)
     path.write_bytes(profiles.png(index, profiles.chunk(b"tRNS", b"\0\xff"), palette=grey + ball))
 
 
 def _opaque_palette(path: Path, colours: np.ndarray, alpha: np.ndarray) -> None:
-    ball, grey = (levels(np.array([value])).tobytes() for value in (BALL, (0.3, 0.3, 0.3)))
+    ball, grey = (levels(np.array([value])).tobytes() for value in (BALL, (GREY,) * 3))
     path.write_bytes(profiles.png((alpha > 0).astype(np.uint8), palette=grey + ball))
 
 

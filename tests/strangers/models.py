@@ -17,7 +17,7 @@ def write_model(
     place: Path, names: list[str], *, binary: bool = True, model: int = 1, kind: str = "PINHOLE"
 ) -> None:
     """Write a model of the first photographs named."""
-    place.mkdir(parents=True)
+    place.mkdir(parents=True, exist_ok=True)
     rows = []
     for pose in ring(COUNT)[: len(names)]:
         outer = _OPENCV @ np.linalg.inv(pose)
