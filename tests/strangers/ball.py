@@ -38,6 +38,13 @@ def light() -> ndarray:
     return np.where(disc()[..., None] > 0, np.array(BALL), GREY)
 
 
+def view_light(index: int) -> ndarray:
+    """Return the photograph of a view; a spot tells it from the others."""
+    colours = light()
+    colours[2 + 6 * index : 7 + 6 * index, 1:9] = (0.05, 0.5 - 0.05 * index, 0.1 + 0.1 * index)
+    return colours
+
+
 def levels(colours: ndarray, space: Space | None = None, full: int = 255) -> ndarray:
     """Return levels of light in a space, sRGB by default."""
     shares = np.clip(levels_of(colours, space or SPACES["srgb"]), 0.0, 1.0)
@@ -57,12 +64,10 @@ def save_rgba(path: Path, colours: ndarray, alpha: ndarray) -> None:
 
 
 def write_photographs(folder: Path, names: list[str], save: Save = save_png) -> None:
-    """Write one photograph for each name, of one ball; a light from the side tells the views apart."""
+    """Write one photograph for each name."""
     for index, name in enumerate(names):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        colours = light()
-        colours[2 + 6 * index : 7 + 6 * index, 1:9] = (0.05, 0.5 - 0.05 * index, 0.1 + 0.1 * index)
-        save(folder / name, colours, disc())
+        save(folder / name, view_light(index), disc())
 
 
 def frames_of(names: list[str], **frame: object) -> list[dict]:

@@ -25,11 +25,11 @@ from strangers.ball import (
     SIDE,
     disc,
     levels,
-    light,
     masked,
     names_of,
     save_png,
     save_rgba,
+    view_light,
     write_masks,
     write_photographs,
     write_transforms,
@@ -37,7 +37,7 @@ from strangers.ball import (
 from strangers.colours import SPACES, levels_of
 from strangers.masks import MASKS
 from strangers.models import write_model
-from strangers.pictures import Spec, save_levels, turned
+from strangers.pictures import Spec, enlarged, save_levels, turned
 from strangers.statements import STATEMENTS
 from support.raw_files import write_dng
 
@@ -153,8 +153,14 @@ def _bom_blender(folder: Path) -> None:
 
 
 _row("a15b byte order mark of blender", _bom_blender)
-_row("a17 case of the suffix", _posed(suffix=".png", named=lambda name: name[:-3] + "PNG"), or_said=("000.png",))
-_row("a17b case of the file", _posed(suffix=".PNG", named=lambda name: name[:-3] + "png"), or_said=("000.PNG",))
+_row(
+    "a17 case of the suffix",
+    _posed(suffix=".png", named=lambda name: name[:-3] + "PNG"),
+    or_said=("000.png",),
+)
+_row(
+    "a17b case of the file", _posed(suffix=".PNG", named=lambda name: name[:-3] + "png"), or_said=("000.PNG",)
+)
 _row(
     "a17c case of the folder",
     _posed(named=lambda name: name.replace("images", "Images")),
@@ -261,7 +267,9 @@ def _polycam(folder: Path) -> None:
     stems = [str(1_000_000 + 37 * index) for index in range(COUNT)]
     for kind in ("images", "corrected_images", "depth", "confidence"):
         suffix = ".jpg" if "images" in kind else ".png"
-        write_photographs(frames / kind, [stem + suffix for stem in stems], _jpeg() if "images" in kind else save_png)
+        write_photographs(
+            frames / kind, [stem + suffix for stem in stems], _jpeg() if "images" in kind else save_png
+        )
     for kind in ("cameras", "corrected_cameras"):
         (frames / kind).mkdir()
         for stem, pose in zip(stems, ring(COUNT), strict=True):
@@ -280,17 +288,16 @@ def _jpeg(**options: object) -> Callable:
     return save
 
 
-def _pixel_raw(folder: Path) -> None:
-    for index in range(COUNT):
-        stem = f"PXL_20240101_1200{index:02d}000"
-        write_photographs(folder, [f"{stem}.RAW-01.COVER.jpg"], _jpeg())
-        write_dng(folder / f"{stem}.RAW-02.ORIGINAL.dng", light())
+def _raw_beside(photograph: str, raw: str) -> Make:
+    """Return a writer of shots that a camera saved twice; raw files are read at half their size."""
 
+    def make(folder: Path) -> None:
+        for index in range(COUNT):
+            colours = view_light(index)
+            _jpeg()(folder / photograph.format(index), colours, disc())
+            write_dng(folder / raw.format(index), enlarged(colours, 2))
 
-def _raw_and_jpeg(folder: Path) -> None:
-    for index in range(COUNT):
-        write_photographs(folder, [f"IMG_{index:04d}.JPG"], _jpeg())
-        write_dng(folder / f"IMG_{index:04d}.dng", light())
+    return make
 
 
 def _with_masks(pictures: str, masks: str, *, mask: str = "255") -> Make:
@@ -306,8 +313,19 @@ def _with_masks(pictures: str, masks: str, *, mask: str = "255") -> Make:
 
 
 _row("a22 polycam", _polycam)
-_row("a23 pixel raw", _pixel_raw, has_cameras=False, needs=("scene.saved_twice",))
-_row("a23b raw and jpeg", _raw_and_jpeg, has_cameras=False, needs=("scene.saved_twice",))
+_PIXEL = "PXL_20240101_1200{:02d}000.RAW-0"
+_row(
+    "a23 pixel raw",
+    _raw_beside(_PIXEL + "1.COVER.jpg", _PIXEL + "2.ORIGINAL.dng"),
+    has_cameras=False,
+    needs=("scene.saved_twice",),
+)
+_row(
+    "a23b raw and jpeg",
+    _raw_beside("IMG_{:04d}.JPG", "IMG_{:04d}.dng"),
+    has_cameras=False,
+    needs=("scene.saved_twice",),
+)
 _MASKED = {"alpha": COVER, "has_cameras": False}
 _row("a40 masks beside", _with_masks("IMG_{}.jpg", "masks/IMG_{}.png"), **_MASKED)
 _row("a40b image and mask", _with_masks("image/IMG_{}.jpg", "mask/IMG_{}.png"), **_MASKED)
@@ -628,7 +646,9 @@ def _turned(orientation: int) -> Make:
 
     def save(path: Path, colours: np.ndarray, alpha: np.ndarray) -> None:
         del colours
-        _jpeg(exif=block)(path, np.where(_LEFT[..., None] & (disc() > 0)[..., None], BALL, 0.02)[:_HEIGHT], alpha)
+        _jpeg(exif=block)(
+            path, np.where(_LEFT[..., None] & (disc() > 0)[..., None], BALL, 0.02)[:_HEIGHT], alpha
+        )
 
     def mask(path: Path, alpha: np.ndarray) -> None:
         MASKS["255"][1](path, turned(np.where(_LEFT, alpha, 0.0)[:_HEIGHT], orientation))

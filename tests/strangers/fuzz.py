@@ -91,7 +91,11 @@ def smaller(case: Case, kind: str, folder: Path) -> Case:
         lambda c: replace(c, spec=replace(c.spec, colour="none")),
         lambda c: replace(c, spec=replace(c.spec, depth="half" if c.spec.format == "exr" else "8")),
         lambda c: replace(c, layout="nerfstudio"),
-        lambda c: replace(c, spec=replace(c.spec, format="png")) if c.spec.colour == "none" and c.spec.depth == "8" and c.spec.alpha in ("none", "straight") else c,
+        lambda c: (
+            replace(c, spec=replace(c.spec, format="png"))
+            if c.spec.colour == "none" and c.spec.depth == "8" and c.spec.alpha in ("none", "straight")
+            else c
+        ),
         lambda c: replace(c, count=3),
     ]
     for change in simpler:

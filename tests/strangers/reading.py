@@ -82,16 +82,16 @@ def _outcome(written: Written) -> Outcome:
         raise Differs(f"the check has no error, training has: {error}") from error
     if not all(written.readings.values()):
         raise Differs("was read although its levels are no light in linear units")
-    wrong = [f"{path}: {why}" for path, each in written.readings.items() if (why := differs(views.get(path), each))]
+    wrong = [
+        f"{path}: {why}" for path, each in written.readings.items() if (why := differs(views.get(path), each))
+    ]
     if wrong:
         raise Differs("; ".join(wrong[:2]) + f" (findings: {', '.join(codes)})")
     compare_places(written, manifest, views)
     return Outcome(kind=RIGHT, codes=codes, views=views, manifest=manifest)
 
 
-def look(
-    folder: Path, masks: Path | None = None
-) -> tuple[list[scene_pb2.Finding], bool, tuple[str, ...]]:
+def look(folder: Path, masks: Path | None = None) -> tuple[list[scene_pb2.Finding], bool, tuple[str, ...]]:
     """Return the findings of `lambent check`, whether the capture can be used, and what is left out."""
     if detect_layout(folder) == "photographs":
         looked = check_photographs(folder, masks)
@@ -165,9 +165,7 @@ def _differs(found: ndarray, right: Reading) -> str:
     return ""
 
 
-def compare_places(
-    written: Written, manifest: scene_pb2.SceneManifest, views: dict[str, ndarray]
-) -> None:
+def compare_places(written: Written, manifest: scene_pb2.SceneManifest, views: dict[str, ndarray]) -> None:
     """Raise `Differs` where check, masks, cameras, silhouettes or textures see something else than training."""
     folder = written.folder
     for each in observe(folder, manifest, CaptureLimits()):

@@ -128,9 +128,7 @@ def _primaries(name: str) -> tuple[str]:
 
 HDR = {
     "none": _of("linear"),
-    **{
-        name: _of(name, header=_primaries(name)) for name in ("linear", "p3-linear", "rec2020-linear", "ap1")
-    },
+    **{name: _of(name, header=_primaries(name)) for name in ("linear", "p3-linear", "rec2020-linear", "ap1")},
 }
 STATEMENTS: dict[str, dict[str, Statement]] = {
     "png": PNG,
