@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy import ndarray
-from strangers.masks import LOSSY, write_mask
+from strangers.masks import LOSSY, mask_alpha, write_mask
 from strangers.pictures import SUFFIXES, Reading, Spec, turned, write_photograph
 from support.captures import ring
 from support.layouts import quaternion
@@ -59,12 +59,12 @@ def write_capture(folder: Path, case: Case) -> Written:
     masks: dict[str, str] = {}
     if case.layout == "photographs":  # smaller ones are refused, for nothing can be matched in them
         case = replace(case, spec=replace(case.spec, scale=3))
-    stand_out = case.mask != "none" and case.spec.orientation != 1
+    outlined = mask_alpha(soft=False) if case.mask != "none" and case.spec.orientation != 1 else None
     for index in range(case.count):
         stem = f"view_{index:03d}"
         name = stem + SUFFIXES[case.spec.format]
         seed = 100 * case.seed + index
-        found = write_photograph(folder / inner / name, case.spec, seed, plain_background=stand_out)
+        found = write_photograph(folder / inner / name, case.spec, seed, outlined=outlined)
         path = f"{inner}/{name}"
         if case.mask != "none":
             masks[path], found = _with_mask(folder, stem, name, case, found)

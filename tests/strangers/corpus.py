@@ -51,6 +51,8 @@ class Row:
     make: Make
     light: tuple[float, float, float] | None = None
     """Mean linear Rec. 709 over the object of the first frame."""
+    edge: tuple[float, float, float] | None = None
+    """The same where it is covered by half."""
     alpha: float | None = None
     """Mean coverage of the first frame."""
     focal: tuple[float, float] = (FOCAL, FOCAL)
@@ -410,12 +412,17 @@ def _exr(**options: object) -> Callable:
     return save
 
 
-def _soft_exr(path: Path, colours: np.ndarray, alpha: np.ndarray) -> None:
-    """Write premultiplied colours whose outline is half covered."""
-    rows, columns = np.mgrid[:SIDE, :SIDE] - (SIDE - 1) / 2
-    inside = np.hypot(rows, columns)
-    alpha = np.where(inside <= 16.0, 1.0, np.where(inside <= 20.0, 0.5, 0.0))
-    _exr(alpha="premultiplied")(path, colours, alpha)
+def _soft_exr(rim: float) -> Callable:
+    """Return a writer of premultiplied colours whose outline is half covered, and so much brighter."""
+
+    def save(path: Path, colours: np.ndarray, alpha: np.ndarray) -> None:
+        rows, columns = np.mgrid[:SIDE, :SIDE] - (SIDE - 1) / 2
+        radius = np.hypot(rows, columns)
+        alpha = np.where(radius <= 16.0, 1.0, np.where(radius <= 20.0, 0.5, 0.0))
+        edge = ((radius > 16.0) & (radius <= 20.0))[..., None]
+        _exr(alpha="premultiplied")(path, np.where(edge, rim * colours, colours), alpha)
+
+    return save
 
 
 def _window(grow: int) -> Callable:
@@ -465,7 +472,15 @@ def _integers(path: Path, colours: np.ndarray, alpha: np.ndarray) -> None:
 
 
 _CUT = {"light": BALL, "alpha": COVER}
-_row("a11 exr premultiplied", _posed(_soft_exr, ".exr"), light=BALL, alpha=0.2534)
+_row("a11 exr premultiplied", _posed(_soft_exr(1.0), ".exr"), light=BALL, alpha=0.2534)
+_row(
+    "a11d exr premultiplied with a bright rim",
+    _posed(_soft_exr(2.0), ".exr"),
+    edge=(1.2, 0.4, 0.2),
+    alpha=0.2534,
+    or_said=("straight",),
+)
+_row("a11e exr premultiplied, its outline", _posed(_soft_exr(1.0), ".exr"), edge=BALL, alpha=0.2534)
 _row("a11c exr without alpha", _posed(_exr(), ".exr"), light=BALL)
 _row("a12 exr data window", _posed(_window(-10), ".exr"), **_CUT, or_said=("window",))
 _row("a12b exr overscan", _posed(_window(4), ".exr"), **_CUT, or_said=("window",))

@@ -80,6 +80,11 @@ def _reading_fault(row: Row, folder: Path, said: str) -> str:
         found = view[middle & inside & (columns < 32)][:, :3].mean(axis=0)
         if not np.allclose(found, row.light, atol=LIGHT_MARGIN):
             return f"light {found.round(4).tolist()}, not {list(row.light)}: {said}"
+    if row.edge is not None:
+        half = np.abs(view[..., 3] - 0.5) < 0.05
+        found = view[half][:, :3].mean(axis=0)
+        if not np.allclose(found, row.edge, atol=LIGHT_MARGIN):
+            return f"light of the outline {found.round(4).tolist()}, not {list(row.edge)}: {said}"
     return _alpha_fault(float(view[..., 3].mean()), row, said)
 
 

@@ -112,18 +112,22 @@ def object_alpha(*, soft: bool) -> ndarray:
     return alpha
 
 
-def write_photograph(path: Path, spec: Spec, seed: int, *, plain_background: bool = False) -> list[Reading]:
+def write_photograph(
+    path: Path, spec: Spec, seed: int, *, outlined: ndarray | None = None
+) -> list[Reading]:
     """Write a photograph and return its right readings; none where it is to be refused.
 
-    With `plain_background` what is not the object is dark, so that its outline can be seen.
+    What `outlined` does not cover is dark, so that the outline of a mask can be seen.
     """
     choice = np.random.default_rng(seed)
     statement = spec.statement
     space = statement.means[0] if statement.means else SPACES["rec2020-srgb"]
     alpha = object_alpha(soft=spec.alpha not in ("none", "key"))
     levels = _levels(choice, space, spec, statement)
-    if plain_background:
-        levels = np.where(object_alpha(soft=False)[..., None] > 0, np.maximum(levels, 0.35), 0.12)
+    if outlined is not None:
+        levels = np.where(outlined[..., None] > 0, np.maximum(levels, 0.35), 0.12)
+    if spec.format == "exr":  # an outline has the colours of what it is the outline of
+        levels[:, 7] = levels[:, 8]
     levels, alpha = enlarged(levels, spec.scale), enlarged(alpha, spec.scale)
     if spec.format == "exr":
         return _exr(path, levels, alpha, spec, statement)

@@ -96,7 +96,8 @@ JPEG = {
     "exif srgb": _of("srgb", colour_space=1),
     "exif r03": _of("adobe", **_R03),
     "exif 2": _of("adobe", colour_space=2),
-    "exif uncalibrated": _of("srgb", colour_space=0xFFFF),
+    # Neither is stated; a reader that takes Adobe RGB says so in a finding.
+    "exif uncalibrated": _of("srgb", "adobe", colour_space=0xFFFF),
     "icc p3 over r03": _of("p3", icc=profiles.rgb_profile(SPACES["p3"]), **_R03),
     "icc srgb over r03": _of("srgb", icc=profiles.rgb_profile(SPACES["srgb"]), **_R03),
 }
