@@ -443,18 +443,12 @@ def _window(grow: int) -> Callable:
 
 def _luminance_chroma(sampling: int) -> Callable:
     def save(path: Path, colours: np.ndarray, alpha: np.ndarray) -> None:
-        import OpenEXR
-
         del alpha
         y = colours @ np.array([0.2126, 0.7152, 0.0722])
-        chroma = {"RY": colours[..., 0] / y - 1.0, "BY": colours[..., 2] / y - 1.0}
-        channels = {"Y": OpenEXR.Channel("Y", y.astype(np.float16), 1, 1)}
-        for name, plane in chroma.items():
-            part = np.ascontiguousarray(plane[::sampling, ::sampling].astype(np.float16))
-            channels[name] = OpenEXR.Channel(name, part, sampling, sampling)
-        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-        header["dataWindow"] = (np.zeros(2, np.int32), np.full(2, SIDE - 1, np.int32))
-        OpenEXR.File(header, channels).write(str(path))
+        planes = {"Y": (y, 1)}
+        for name, channel in (("RY", 0), ("BY", 2)):
+            planes[name] = ((colours[..., channel] / y - 1.0)[::sampling, ::sampling], sampling)
+        floats.write_subsampled_exr(path, planes)
 
     return save
 

@@ -1,5 +1,6 @@
 """Files of light as floats: OpenEXR through its library, Radiance HDR byte by byte."""
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,7 @@ def write_exr(
             "displayWindow": (np.zeros(2, np.int32), np.array([shown[0] - 1, shown[1] - 1], np.int32)),
         }
         if space is not None:
-            found["chromaticities"] = tuple((*space.primaries, *space.white))
+            found["chromaticities"] = (*space.primaries, *space.white)
         return found
 
     shape = next(iter(planes.values())).shape[:2]
@@ -47,6 +48,43 @@ def write_exr(
         for name, part in extra_parts.items()
     ]
     OpenEXR.File([*parts, OpenEXR.Part(header(*shape), channels, "picture")]).write(str(path))
+
+
+def write_subsampled_exr(path: Path, planes: dict[str, tuple[ndarray, int]]) -> None:
+    """Write half floats of which each plane has the pixels of every n-th row and column.
+
+    The library for Python refuses planes of different sizes. Source: OpenEXR, "OpenEXR File Layout".
+    """
+    height, width = next(plane.shape for plane, sampling in planes.values() if sampling == 1)
+    names = sorted(planes)
+
+    def attribute(name: str, kind: str, data: bytes) -> bytes:
+        return name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(data)) + data
+
+    channels = b"".join(
+        name.encode() + b"\0" + struct.pack("<iB3xii", 1, 0, planes[name][1], planes[name][1])
+        for name in names
+    )
+    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    head = b"\x76\x2f\x31\x01\x02\0\0\0"
+    head += attribute("channels", "chlist", channels + b"\0") + attribute("compression", "compression", b"\0")
+    head += attribute("dataWindow", "box2i", window) + attribute("displayWindow", "box2i", window)
+    head += attribute("lineOrder", "lineOrder", b"\0")
+    head += attribute("pixelAspectRatio", "float", struct.pack("<f", 1.0))
+    head += attribute("screenWindowCenter", "v2f", struct.pack("<2f", 0.0, 0.0))
+    head += attribute("screenWindowWidth", "float", struct.pack("<f", 1.0)) + b"\0"
+    lines, offsets = [], []
+    at = len(head) + 8 * height
+    for row in range(height):
+        data = b"".join(
+            planes[name][0][row // planes[name][1]].astype("<f2").tobytes()
+            for name in names
+            if row % planes[name][1] == 0
+        )
+        lines.append(struct.pack("<ii", row, len(data)) + data)
+        offsets.append(at)
+        at += len(lines[-1])
+    path.write_bytes(head + struct.pack(f"<{height}Q", *offsets) + b"".join(lines))
 
 
 def rgbe(light: ndarray) -> ndarray:

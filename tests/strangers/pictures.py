@@ -112,9 +112,7 @@ def object_alpha(*, soft: bool) -> ndarray:
     return alpha
 
 
-def write_photograph(
-    path: Path, spec: Spec, seed: int, *, outlined: ndarray | None = None
-) -> list[Reading]:
+def write_photograph(path: Path, spec: Spec, seed: int, *, outlined: ndarray | None = None) -> list[Reading]:
     """Write a photograph and return its right readings; none where it is to be refused.
 
     What `outlined` does not cover is dark, so that the outline of a mask can be seen.
