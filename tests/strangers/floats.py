@@ -23,8 +23,10 @@ def write_exr(
     """
     import OpenEXR
 
+    shape = next(iter(planes.values())).shape[:2]
+
     def header(height: int, width: int) -> dict:
-        shown = display or (width, height)
+        shown = display or (shape[1], shape[0])  # one for all parts
         found: dict = {
             "compression": OpenEXR.ZIP_COMPRESSION,
             "type": OpenEXR.scanlineimage,
@@ -38,7 +40,6 @@ def write_exr(
             found["chromaticities"] = (*space.primaries, *space.white)
         return found
 
-    shape = next(iter(planes.values())).shape[:2]
     channels = {name: np.ascontiguousarray(plane) for name, plane in planes.items()}
     if not extra_parts:
         OpenEXR.File(header(*shape), channels).write(str(path))
