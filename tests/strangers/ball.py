@@ -1,4 +1,4 @@
-"""The capture that the corpus changes: a ball of one colour before dark grey, seen from eight cameras around it.
+"""The capture that the corpus changes: a ball of one colour before dark grey, seen from eight sides.
 
 The ball's light is `BALL` in linear Rec. 709 and covers `COVER` of each photograph of `SIDE` x `SIDE` pixels.
 """

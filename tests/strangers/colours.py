@@ -89,7 +89,7 @@ def adapted(white: ndarray, wanted: ndarray) -> ndarray:
 
 
 def to_rec709(space: Space) -> ndarray:
-    """Return the matrix from the linear colours of a space to linear Rec. 709, whites mapped on each other."""
+    """Return the matrix from linear colours of a space to linear Rec. 709, white to white."""
     given, wanted = xyz_from(space.primaries, space.white), xyz_from(REC709, D65)
     return np.linalg.inv(wanted) @ adapted(given.sum(axis=1), wanted.sum(axis=1)) @ given
 

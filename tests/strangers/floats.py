@@ -101,9 +101,9 @@ def rgbe(light: ndarray) -> ndarray:
 
 
 def rgbe_light(pixels: ndarray) -> ndarray:
-    """Return the light of such pixels; the middle of what a byte says is not taken, as Radiance's `colr` does.
+    """Return the light of such pixels at the lower end of each step.
 
-    Radiance itself adds half a step; readers differ, so that half a step is allowed.
+    Radiance takes the middle, other readers do not; so half a step is allowed.
     """
     scale = np.ldexp(1.0, pixels[..., 3].astype(int) - 136)
     return np.where(pixels[..., 3:] > 0, pixels[..., :3] * scale[..., None], 0.0)
@@ -112,7 +112,7 @@ def rgbe_light(pixels: ndarray) -> ndarray:
 def write_hdr(
     path: Path, pixels: ndarray, *, header: tuple[str, ...] = (), coded: bool = True, rows: str = "-Y"
 ) -> None:
-    """Write pixels of `rgbe`; `coded` packs rows by runs, `header` are lines such as PRIMARIES or EXPOSURE."""
+    """Write pixels of `rgbe`; `coded` packs rows by runs, `header` has lines such as EXPOSURE."""
     height, width = pixels.shape[:2]
     lines = ["#?RADIANCE", *header, "FORMAT=32-bit_rle_rgbe", "", f"{rows} {height} +X {width}", ""]
     data = "\n".join(lines).encode()

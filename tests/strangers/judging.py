@@ -10,7 +10,7 @@ from lambent_worker.scenes.detect import collect_scene
 from lambent_worker.scenes.problems import Problems
 from strangers import reading
 from strangers.captures import Written
-from strangers.corpus import Row
+from strangers.rows import Row
 
 LIGHT_MARGIN = 0.01
 """Of each channel's mean: 8 bits, and what lossy formats lose of a flat colour."""

@@ -1,7 +1,7 @@
 """Photographs as strangers save them, each with the light it shows.
 
-Pictures are `WIDTH` x `HEIGHT` stored pixels: patches of 8 x 8 pixels of one colour, which lossy formats keep,
-with a ramp over each where a format loses nothing.
+Pictures are `WIDTH` x `HEIGHT` stored pixels: patches of 8 x 8 pixels of one colour, which lossy
+formats keep, with a ramp over each where a format loses nothing.
 """
 
 import io
@@ -102,7 +102,7 @@ def enlarged(pixels: ndarray, scale: int) -> ndarray:
 
 
 def object_alpha(*, soft: bool) -> ndarray:
-    """Return the coverage of an object that no turn and no mirror maps on itself; `soft` has an edge of half."""
+    """Return the coverage of an object that no turn maps on itself; `soft` has an edge of half."""
     alpha = np.zeros((HEIGHT, WIDTH))
     alpha[4:20, 8:16] = 1.0
     alpha[12:20, 16:27] = 1.0
@@ -146,6 +146,8 @@ def write_photograph(path: Path, spec: Spec, seed: int, *, outlined: ndarray | N
     save_levels(path, stored, alpha, spec, statement)
     lossless = spec.format not in LEVELS_LOST
     step = HALF_STEP / full if lossless else LEVELS_LOST[spec.format] / 255
+    if outlined is not None and not lossless:  # which is no edge of patches
+        step *= 3.0
     weight = np.maximum(alpha, 0.4)[..., None] if spec.alpha == "premultiplied" else 1.0
     found = []
     for each in statement.means:
@@ -182,7 +184,7 @@ def _as_shown(found: list[Reading], spec: Spec) -> list[Reading]:
 
 
 def _levels(choice: np.random.Generator, space: Space, spec: Spec, statement: Statement) -> ndarray:
-    """Return levels, 0..1, of patches whose colours lie in Rec. 709, but for one that is strong in `space`."""
+    """Return levels, 0..1, of patches within Rec. 709, but for one that is strong in `space`."""
     count = HEIGHT // PATCH, WIDTH // PATCH
     light = choice.uniform(0.02, 0.95, (*count, 1 if statement.grey else 3))
     if statement.grey:

@@ -46,7 +46,7 @@ class Outcome:
     manifest: scene_pb2.SceneManifest | None = None
 
 
-class Differs(Exception):
+class DifferenceError(Exception):
     """A place reads something else than it should."""
 
 
@@ -61,7 +61,7 @@ def outcome_of(written: Written) -> Outcome:
     """Return what became of a capture whose pictures are known."""
     try:
         return _outcome(written)
-    except Differs as difference:
+    except DifferenceError as difference:
         return Outcome(kind=SILENT, why=str(difference))
     except Exception:
         return Outcome(kind=TRACEBACK, why=traceback.format_exc(limit=-6))
@@ -75,18 +75,18 @@ def _outcome(written: Written) -> Outcome:
         said = next(f"{f.code}: {f.message}" for f in findings if f.severity == scene_pb2.SEVERITY_ERROR)
         return Outcome(kind=UNCLEAR if why else REFUSED, why=f"{why}: {said}" if why else said, codes=codes)
     if left_out:
-        raise Differs(f"{left_out} left out though all photographs are alike")
+        raise DifferenceError(f"{left_out} left out though all photographs are alike")
     try:
         views, manifest = trained(written)
     except (SceneRefusedError, WorkerError) as error:
-        raise Differs(f"the check has no error, training has: {error}") from error
+        raise DifferenceError(f"the check has no error, training has: {error}") from error
     if not all(written.readings.values()):
-        raise Differs("was read although its levels are no light in linear units")
+        raise DifferenceError("was read although its levels are no light in linear units")
     wrong = [
         f"{path}: {why}" for path, each in written.readings.items() if (why := differs(views.get(path), each))
     ]
     if wrong:
-        raise Differs("; ".join(wrong[:2]) + f" (findings: {', '.join(codes)})")
+        raise DifferenceError("; ".join(wrong[:2]) + f" (findings: {', '.join(codes)})")
     compare_places(written, manifest, views)
     return Outcome(kind=RIGHT, codes=codes, views=views, manifest=manifest)
 
@@ -135,7 +135,7 @@ def unclear(findings: list[scene_pb2.Finding], files: tuple[str, ...]) -> str:
 
 
 def differs(found: ndarray | None, right: list[Reading]) -> str:
-    """Return how a picture of light with alpha differs from the nearest of its right readings; "" where not."""
+    """Return how light with alpha differs from the nearest of its right readings; "" where not."""
     if found is None:
         return "is not among the views"
     whys = [why for each in right if not (why := _differs(found, each)) or why]
@@ -158,15 +158,16 @@ def _differs(found: ndarray, right: Reading) -> str:
         row, column, channel = np.unravel_index(np.argmax(error), error.shape)
         means = " ".join(f"{value:.3f}" for value in light[seen].mean(axis=0))
         wanted = " ".join(f"{value:.3f}" for value in right.light[seen].mean(axis=0))
+        at = row, column, channel
         return (
-            f"mean light {means}, not {wanted}; at {column},{row} {'rgb'[channel]} {light[row, column, channel]:.4f}, "
-            f"not {right.light[row, column, channel]:.4f} +- {right.margin[row, column, channel]:.4f}"
+            f"mean light {means}, not {wanted}; at {column},{row} {'rgb'[channel]} {light[at]:.4f}, "
+            f"not {right.light[at]:.4f} +- {right.margin[at]:.4f}"
         )
     return ""
 
 
 def compare_places(written: Written, manifest: scene_pb2.SceneManifest, views: dict[str, ndarray]) -> None:
-    """Raise `Differs` where check, masks, cameras, silhouettes or textures see something else than training."""
+    """Raise `DifferenceError` where another place that reads pictures sees something else than training."""
     folder = written.folder
     for each in observe(folder, manifest, CaptureLimits()):
         _same("check: alpha", each.coverage, views[each.pictures[0].path][..., 3], 0.02)
@@ -189,7 +190,7 @@ def compare_places(written: Written, manifest: scene_pb2.SceneManifest, views: d
         grey, _ = grey_picture(folder / path, (0, 0, view.shape[1], view.shape[0]), 4096)
         inside = view[..., 3] > 0.98
         if _likeness(grey[inside], view[inside][:, :3], frame.images[0].encoding) < 0.6:
-            raise Differs("cameras: the grey picture is another one than training's")
+            raise DifferenceError("cameras: the grey picture is another one than training's")
     for view in full_size_views(folder, manifest, manifest.lights[0]):
         whole = views[names[view.name].images[0].path]
         image = next(iter(view.images.values()))
@@ -197,11 +198,11 @@ def compare_places(written: Written, manifest: scene_pb2.SceneManifest, views: d
         columns = slice(view.margins.left, view.margins.left + image.shape[1])
         part = whole[rows, columns]
         if part.shape != image.shape:
-            raise Differs("textures: the crop lies outside of the frame")
+            raise DifferenceError("textures: the crop lies outside of the frame")
         _same("textures: alpha", image[..., 3], part[..., 3], 0.01)
         _same("textures: light", image[..., :3] * image[..., 3:], part[..., :3] * part[..., 3:], 0.01)
         if whole[..., 3].sum() - part[..., 3].sum() > 0.1 * 4:
-            raise Differs("textures: the crop cuts the object")
+            raise DifferenceError("textures: the crop cuts the object")
     if written.cameras is not None:
         _same_for_cameras(written, views)
 
@@ -224,22 +225,22 @@ def _same_for_cameras(written: Written, views: dict[str, ndarray]) -> None:
     problems = Problems()
     photographs = find_photographs(written.folder, None, problems)
     if photographs is None:
-        raise Differs(f"cameras: {problems.findings()[0].message}")
+        raise DifferenceError(f"cameras: {problems.findings()[0].message}")
     masked = any((view[..., 3] < 0.5).any() for view in views.values())
     if photographs.masked != masked:
-        raise Differs(f"cameras: masked is {photographs.masked}, training says {masked}")
+        raise DifferenceError(f"cameras: masked is {photographs.masked}, training says {masked}")
     for name in photographs.names if masked else ():
         inside = covered_pixels(photographs, name)
         alpha = views[f"images/{name}"][..., 3]
         # A mask's and a photograph's own alpha are both there in training; cameras take the mask.
         if (inside.shape != alpha.shape) or ((alpha > 0.55) & ~inside).any():
-            raise Differs("cameras: other pixels are covered than in training")
+            raise DifferenceError("cameras: other pixels are covered than in training")
 
 
 def _same(place: str, found: ndarray, wanted: ndarray, margin: float, relative: float = 0.0) -> None:
     if found.shape != wanted.shape:
-        raise Differs(f"{place}: size {found.shape} where training has {wanted.shape}")
+        raise DifferenceError(f"{place}: size {found.shape} where training has {wanted.shape}")
     off = np.abs(found - wanted) - relative * np.abs(wanted)
     if not (off <= margin).all():
         at = np.unravel_index(np.argmax(off), off.shape)
-        raise Differs(f"{place}: {found[at]:.3f} where training has {wanted[at]:.3f}")
+        raise DifferenceError(f"{place}: {found[at]:.3f} where training has {wanted[at]:.3f}")

@@ -52,7 +52,7 @@ def _iccp(name: str) -> bytes:
 
 _LINEAR_CHUNKS = (profiles.gama(1.0),)
 _P3_CHRM = profiles.chrm(SPACES["p3"])
-# Of the curves of BT.709 and BT.2020 it is argued whether they say what a camera did or what a screen is to do.
+# Whether the curve of BT.2020 says what a camera did or what a screen is to do is argued.
 _BT2020 = ("rec2020", "rec2020-srgb", "rec2020-24")
 SPACES |= {
     "rec2020-srgb": Space("rec2020-srgb", SPACES["rec2020"].primaries),
