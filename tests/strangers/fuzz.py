@@ -61,8 +61,6 @@ def case_of(number: int, seed: int) -> Case:
             mask = "none"
             if layout.startswith("colmap") or layout == "photographs":
                 orientation = choice.choice((2, 3, 4))
-        elif orientation in (2, 4, 5, 7) and layout not in ("nerfstudio", "blender"):
-            orientation = choice.choice((3, 6, 8))
     return Case(
         spec=Spec(format=kind, depth=depth, colour=colour, alpha=alpha, orientation=orientation),
         layout=layout,

@@ -172,15 +172,17 @@ def _as_shown(found: list[Reading], spec: Spec) -> list[Reading]:
     """Return readings turned where the format turns, or may.
 
     The turn of HEIC is part of the picture (ISO/IEC 23008-12), EXIF's is not, and rows are those of the file;
-    of AVIF and TIFF readers differ. A mirrored photograph may be mirrored back.
+    of AVIF and TIFF readers differ. A mirrored photograph may be mirrored back,
+    upright or as it lies.
     """
     if spec.orientation == 1:
         return found
     upright = [each.turned(spec.orientation) for each in found]
     if spec.format == "heic":
         return upright
-    either = spec.format in ("avif", "tiff") or spec.orientation in MIRRORED
-    return [*found, *upright] if either else found
+    if spec.orientation in MIRRORED:
+        return [*found, *upright, *(each.turned(2) for each in found)]
+    return [*found, *upright] if spec.format in ("avif", "tiff") else found
 
 
 def _levels(choice: np.random.Generator, space: Space, spec: Spec, statement: Statement) -> ndarray:

@@ -70,7 +70,7 @@ def _in(space: str) -> tuple[Any, ...]:
 
 
 def _flat_like_runs() -> ndarray:
-    """Return levels whose rows begin as run-length rows do, and are none. They show light of 2, 2, 0 first."""
+    """Return levels whose rows begin as run-length rows do, and are none."""
     pixels = floats.rgbe(_even(SIDE, 2 * SIDE))
     pixels[:, 0] = (2, 2, 0, 2 * SIDE)
     return pixels
