@@ -30,6 +30,8 @@ ROOT = Path(__file__).parents[2]
 VAGUE = frozenset({"scene.refused", "scene.check_failed", "scene.layout_unknown"})
 """Codes that do not say what is wrong with a picture."""
 _REC601 = np.array([0.299, 0.587, 0.114])
+FURTHER = frozenset({"scene.too_few_images", "scene.mirrored"})
+"""Codes that may stand beside that of the cause: what follows from it, and what is true as well."""
 RIGHT, REFUSED, SILENT, TRACEBACK, UNCLEAR = "right", "refused", "silent", "traceback", "unclear"
 
 
@@ -115,6 +117,9 @@ def unclear(findings: list[scene_pb2.Finding], files: tuple[str, ...]) -> str:
     """Return why a refusal is not clear: one error that names file, cause and remedy; "" where it is."""
     errors = [finding for finding in findings if finding.severity == scene_pb2.SEVERITY_ERROR]
     codes = {finding.code for finding in errors}
+    if len(codes) > 1:
+        codes -= FURTHER
+    errors = [finding for finding in errors if finding.code in codes]
     if len(codes) != 1:
         return f"{len(codes)} kinds of error"
     code = next(iter(codes))
