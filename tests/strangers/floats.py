@@ -110,11 +110,22 @@ def rgbe_light(pixels: ndarray) -> ndarray:
 
 
 def write_hdr(
-    path: Path, pixels: ndarray, *, header: tuple[str, ...] = (), coded: bool = True, rows: str = "-Y"
+    path: Path, pixels: ndarray, *, header: tuple[str, ...] = (), coded: bool = True, rows: str = "-Y +X"
 ) -> None:
-    """Write pixels of `rgbe`; `coded` packs rows by runs, `header` has lines such as EXPOSURE."""
+    """Write pixels of `rgbe`; `coded` packs rows by runs, `header` has lines such as EXPOSURE.
+
+    `rows` is the order of the file: "-Y +X" begins at the upper left and goes along rows, "+X -Y" along
+    columns.
+    """
+    if "+Y" in rows:
+        pixels = pixels[::-1]
+    if "-X" in rows:
+        pixels = pixels[:, ::-1]
+    first, second = rows.split()
+    if "X" in first:
+        pixels = pixels.swapaxes(0, 1)
     height, width = pixels.shape[:2]
-    lines = ["#?RADIANCE", *header, "FORMAT=32-bit_rle_rgbe", "", f"{rows} {height} +X {width}", ""]
+    lines = ["#?RADIANCE", *header, "FORMAT=32-bit_rle_rgbe", "", f"{first} {height} {second} {width}", ""]
     data = "\n".join(lines).encode()
     for row in pixels:
         if not coded:

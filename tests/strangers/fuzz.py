@@ -24,7 +24,13 @@ from strangers.masks import MASKS
 from strangers.pictures import Spec
 from strangers.statements import STATEMENTS
 
-DEPTHS = {"png": ("8", "8", "16"), "tiff": ("8", "16"), "heic": ("8", "10"), "exr": ("half", "float")}
+DEPTHS = {
+    "png": ("8", "8", "16"),
+    "tiff": ("8", "16"),
+    "heic": ("8", "10"),
+    "avif": ("8", "10"),
+    "exr": ("half", "float"),
+}
 ALPHAS = {
     "png": ("none", "straight", "palette", "key"),
     "webp": ("none", "straight"),
@@ -49,7 +55,8 @@ def case_of(number: int, seed: int) -> Case:
     layout = choice.choice(LAYOUTS)
     orientation = 1
     if kind not in ("exr", "hdr") and choice.random() < 0.4:
-        orientation = choice.randint(2, 8)
+        # Mirrored photographs with cameras are refused whatever else is true of them.
+        orientation = choice.choice((3, 6, 8, 3, 6, 8, 2, 4, 5, 7))
     mask, upright = "none", False
     if layout in MASKED_LAYOUTS and choice.random() < 0.45:
         mask = choice.choice(tuple(MASKS))
@@ -123,6 +130,7 @@ def main() -> int:
     arguments = parser.parse_args()
     totals: Counter[str] = Counter()
     refusals: Counter[str] = Counter()
+    first: dict[str, int] = {}
     faults: dict[str, list[str]] = defaultdict(list)
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="strangers-") as work:
@@ -134,6 +142,7 @@ def main() -> int:
                 code = found.why.split(": ")[0]
                 meant = "as it must" if not case.spec.statement.means else "though readable"
                 refusals[f"{code} {meant}"] += 1
+                first.setdefault(f"{code} {meant}", number)
             if found.kind in FAULTS:
                 least = smaller(case, found.kind, Path(work) / "scene")
                 key = f"{found.kind}: {features(least)}"
@@ -148,7 +157,7 @@ def main() -> int:
     for kind in (reading.RIGHT, reading.REFUSED, *FAULTS):
         print(f"{kind:>10} {totals[kind]:6d}")
     for name, count in refusals.most_common():
-        print(f"  refused {count:6d} {name}")
+        print(f"  refused {count:6d} {name} (capture {first[name]})")
     for name, numbers in sorted(faults.items(), key=lambda item: -len(item[1])):
         print(f"  {len(numbers):6d} {name} (capture {numbers[0]})")
     return 1 if faults else 0

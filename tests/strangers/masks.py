@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy import ndarray
 from PIL import Image
-from strangers import profiles
+from strangers import floats, profiles
 from strangers.pictures import HEIGHT, WIDTH, enlarged, turned
 
 Write = Callable[[Path, ndarray], None]
@@ -67,6 +67,14 @@ def _colours(path: Path, alpha: ndarray) -> None:
     path.write_bytes(profiles.png(np.stack([grey] * 3, axis=-1)))
 
 
+def _layers(path: Path, grey: ndarray, alpha: ndarray) -> None:
+    path.write_bytes(profiles.png(np.stack([grey, 255 * alpha], axis=-1).round().astype(np.uint8)))
+
+
+def _painted(path: Path, alpha: ndarray, colour: tuple[int, int, int], behind: tuple[int, int, int]) -> None:
+    path.write_bytes(profiles.png(np.where(alpha[..., None] > 0, colour, behind).astype(np.uint8)))
+
+
 MASKS: dict[str, tuple[str, Write]] = {
     "255": (".png", _grey(255)),
     "soft": (".png", _grey(255)),
@@ -91,6 +99,46 @@ MASKS: dict[str, tuple[str, Write]] = {
     "alpha white": (".png", _by_alpha(255)),
     "alpha black": (".png", _by_alpha(0)),
     "colours": (".png", _colours),
+    "38": (".png", _grey(38)),
+    "4 bit": (".png", _grey(15, bits=4)),
+    "4 bit 01": (".png", _grey(1, bits=4)),
+    "palette 2 bit": (
+        ".png",
+        lambda path, alpha: _palette(path, alpha, bytes([0, 0, 0, 9, 9, 9, 90, 0, 0]), bits=2, labels=True),
+    ),
+    "inverted 1 bit": (".png", lambda path, alpha: _grey(1, bits=1)(path, 1.0 - alpha)),
+    "grey with alpha": (".png", lambda path, alpha: _layers(path, 255 * np.ones_like(alpha), alpha)),
+    "grey with full alpha": (".png", lambda path, alpha: _layers(path, 255 * alpha, np.ones_like(alpha))),
+    "red on black": (".png", lambda path, alpha: _painted(path, alpha, (255, 0, 0), (0, 0, 0))),
+    "blue on white": (".png", lambda path, alpha: _painted(path, alpha, (0, 0, 255), (255, 255, 255))),
+    "palette white first": (
+        ".png",
+        lambda path, alpha: _palette(path, 1.0 - alpha, bytes([255, 255, 255, 0, 0, 0])),
+    ),
+    "palette of greys": (
+        ".png",
+        lambda path, alpha: _palette(path, 255 * alpha, bytes(level for level in range(256) for _ in "rgb")),
+    ),
+    "palette clear": (
+        ".png",
+        lambda path, alpha: path.write_bytes(
+            profiles.png(
+                np.round(alpha).astype(np.uint8),
+                profiles.chunk(b"tRNS", b"\0"),
+                palette=bytes([0, 0, 0, 90, 40, 20]),
+            )
+        ),
+    ),
+    "exr": (".exr", lambda path, alpha: floats.write_exr(path, {"Y": alpha.astype(np.float16)})),
+    "orientation": (
+        ".png",
+        lambda path, alpha: path.write_bytes(
+            profiles.png(
+                turned(np.round(255 * alpha).astype(np.uint8), 8),
+                profiles.chunk(b"eXIf", profiles.exif(orientation=6)[6:]),
+            )
+        ),
+    ),
     "jpeg": (".jpg", _pillow(".jpg", quality=97)),
     "webp": (".webp", _pillow(".webp", lossless=True)),
     "tiff": (".tif", _pillow(".tif")),

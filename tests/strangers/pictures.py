@@ -292,9 +292,16 @@ def with_code_points(data: bytes, statement: Statement) -> bytes:
 
 
 def _ten_bit(path: Path, pixels: ndarray, spec: Spec, statement: Statement, block: bytes) -> None:
-    """Write a HEIC with 10 bits of each channel."""
+    """Write a HEIC or an AVIF with 10 bits of each channel; of the turn of the latter, nothing."""
     import pillow_heif
 
+    if spec.format == "avif":
+        import imagecodecs
+
+        wide = np.round(pixels.astype(np.float64) * 1023 / 255).astype(np.uint16)
+        data = imagecodecs.avif_encode(wide, level=100, bitspersample=10, pixelformat="444")
+        path.write_bytes(with_code_points(bytes(data), statement))
+        return
     wide = np.ascontiguousarray(pixels.astype(np.uint16) * 257)
     image = pillow_heif.from_bytes(
         mode="RGBA;16" if pixels.shape[-1] == 4 else "RGB;16",
@@ -331,7 +338,7 @@ def _exr(path: Path, light: ndarray, alpha: ndarray, spec: Spec, statement: Stat
 
 def _hdr(path: Path, light: ndarray, space: Space, statement: Statement, *, coded: bool) -> list[Reading]:
     pixels = floats.rgbe(2.0 * light**2)
-    floats.write_hdr(path, pixels, header=statement.header, coded=coded)
+    floats.write_hdr(path, pixels, header=statement.header, rows=statement.rows, coded=coded)
     stored = floats.rgbe_light(pixels)
     shown = light_of(stored, space)
     step = np.ldexp(1.0, pixels[..., 3:].astype(int) - 136)

@@ -97,7 +97,7 @@ def png(levels: ndarray, *chunks: bytes, palette: bytes = b"", bits: int = 0) ->
     colour = 3 if palette else {1: 0, 2: 4, 3: 2, 4: 6}[channels]
     rows = levels.astype(">u2" if depth == 16 else np.uint8).reshape(height, -1)
     if depth < 8:
-        places = (rows[..., None] >> np.arange(depth)[::-1]) & 1
+        places = (rows[..., None] >> np.arange(depth)[::-1]) & 1  # highest first
         rows = np.packbits(places.reshape(height, -1).astype(np.uint8), axis=1)
     raw = b"".join(b"\0" + row.tobytes() for row in rows)
     head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0))

@@ -22,6 +22,8 @@ class Statement:
     """Code points of primaries and transfer in HEIC and AVIF."""
     header: tuple[str, ...] = ()
     """Lines of a Radiance file."""
+    rows: str = "-Y +X"
+    """Order of pixels in a Radiance file."""
     chromaticities: Space | None = None
     """Of an EXR."""
     grey: bool = False
@@ -129,6 +131,7 @@ def _primaries(name: str) -> tuple[str]:
 
 HDR = {
     "none": _of("linear"),
+    **{f"order {rows}": _of("linear", rows=rows) for rows in ("+Y +X", "-Y -X", "+Y -X", "+X -Y", "-X +Y")},
     **{name: _of(name, header=_primaries(name)) for name in ("linear", "p3-linear", "rec2020-linear", "ap1")},
 }
 STATEMENTS: dict[str, dict[str, Statement]] = {

@@ -87,7 +87,7 @@ SKIES = {
     "hdr of P3": _hdr(*_in("p3-linear")),
     "exr of ACEScg": _exr(_even(SIDE, 2 * SIDE, levels_of(SKY, SPACES["ap1"])), "ap1"),
     "exr of P3": _exr(_even(SIDE, 2 * SIDE, levels_of(SKY, SPACES["p3-linear"])), "p3-linear"),
-    "hdr from below": _hdr(_even(SIDE, 2 * SIDE), rows="+Y"),
+    "hdr from below": _hdr(_even(SIDE, 2 * SIDE), rows="+Y +X"),
     "cross": _hdr(_cross(4, 3, _ARMS)),
     "upright cross": _hdr(_cross(3, 4, _DOWN)),
     "probe": _hdr(_probe()),
