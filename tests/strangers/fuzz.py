@@ -64,7 +64,7 @@ def case_of(number: int, seed: int) -> Case:
     if orientation != 1:
         alpha = "none" if mask != "none" else alpha
         # Where readers differ in turning, only pictures that keep their size fit the size of a camera.
-        if kind in ("avif", "tiff"):
+        if kind == "avif":
             mask = "none"
             if layout.startswith("colmap") or layout == "photographs":
                 orientation = choice.choice((2, 3, 4))

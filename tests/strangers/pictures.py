@@ -171,9 +171,8 @@ def write_photograph(path: Path, spec: Spec, seed: int, *, outlined: ndarray | N
 def _as_shown(found: list[Reading], spec: Spec) -> list[Reading]:
     """Return readings turned where the format turns, or may.
 
-    The turn of HEIC is part of the picture (ISO/IEC 23008-12), EXIF's is not, and rows are those of the file;
-    of AVIF and TIFF readers differ. A mirrored photograph may be mirrored back,
-    upright or as it lies.
+    The turn of HEIC is part of the picture (ISO/IEC 23008-12), EXIF's and TIFF's are not, and rows are those
+    of the file; of AVIF readers differ. A mirrored photograph may be mirrored back, upright or as it lies.
     """
     if spec.orientation == 1:
         return found
@@ -182,7 +181,7 @@ def _as_shown(found: list[Reading], spec: Spec) -> list[Reading]:
         return upright
     if spec.orientation in MIRRORED:
         return [*found, *upright, *(each.turned(2) for each in found)]
-    return [*found, *upright] if spec.format in ("avif", "tiff") else found
+    return [*found, *upright] if spec.format == "avif" else found
 
 
 def _levels(choice: np.random.Generator, space: Space, spec: Spec, statement: Statement) -> ndarray:

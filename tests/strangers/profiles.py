@@ -13,14 +13,19 @@ _SRGB_CURVE = (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
 _REC709_CURVE = (1 / 0.45, 1 / 1.099, 0.099 / 1.099, 1 / 4.5, 0.081)
 
 
-def rgb_profile(space: Space) -> bytes:
-    """Return a profile (version 4) of three primaries and one curve."""
+def rgb_profile(space: Space, code_points: tuple[int, int] | None = None) -> bytes:
+    """Return a profile (version 4) of three primaries and one curve.
+
+    `code_points` of ITU-T H.273, of primaries and transfer, stand in a tag of their own (ICC.1:2022, 9.2.17).
+    """
     matrix = xyz_from(space.primaries, space.white)
     matrix = adapted(matrix.sum(axis=1), _D50) @ matrix
     tags = {b"desc": _text(space.name), b"cprt": _text("none"), b"wtpt": _xyz(_D50)}
     for index, channel in enumerate("rgb"):
         tags[f"{channel}XYZ".encode()] = _xyz(matrix[:, index])
         tags[f"{channel}TRC".encode()] = _curve(space.curve)
+    if code_points is not None:
+        tags[b"cicp"] = b"cicp\0\0\0\0" + bytes([*code_points, 0, 1])
     return _profile(b"RGB ", tags)
 
 

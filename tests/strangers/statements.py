@@ -35,6 +35,11 @@ def _of(*names: str, **what: object) -> Statement:
 
 _PROFILES = ("srgb", "p3", "adobe", "rec2020", "prophoto", "linear")
 _ICC = {f"icc {name}": _of(name, icc=profiles.rgb_profile(SPACES[name])) for name in _PROFILES}
+_ICC |= {
+    "icc pq": _of(icc=profiles.rgb_profile(SPACES["rec2020"], (9, 16))),
+    "icc broken": _of("srgb", icc=profiles.rgb_profile(SPACES["p3"])[:150]),
+    "icc grey in colours": _of("srgb", icc=profiles.grey_profile(1.0)),
+}
 _GREY = {
     "grey none": _of("srgb", grey=True),
     "grey icc gamma22": _of("gamma22", icc=profiles.grey_profile(2.2), grey=True),
@@ -65,6 +70,9 @@ SPACES |= {
 PNG = {
     **_NONE,
     **{f"iccp {name}": _png(_iccp(name), means=(name,)) for name in _PROFILES},
+    "iccp pq": _of(chunks=(profiles.iccp(profiles.rgb_profile(SPACES["rec2020"], (9, 16))),)),
+    "iccp broken": _png(profiles.iccp(b"no profile"), means=("srgb",)),
+    "iccp broken over srgb": _png(profiles.iccp(b"no profile"), profiles.srgb(), means=("srgb",)),
     "srgb": _png(profiles.srgb(), means=("srgb",)),
     "gama 1": _png(profiles.gama(1.0), means=("linear",)),
     "gama 1/1.8": _png(profiles.gama(1 / 1.8), means=("gamma18",)),
