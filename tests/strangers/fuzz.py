@@ -57,6 +57,8 @@ def case_of(number: int, seed: int) -> Case:
     if kind not in ("exr", "hdr") and choice.random() < 0.4:
         # Mirrored photographs with cameras are refused whatever else is true of them.
         orientation = choice.choice((3, 6, 8, 3, 6, 8, 2, 4, 5, 7))
+    if kind == "avif" and (orientation != 1 or STATEMENTS[kind][colour].icc):
+        depth = "8"  # what writes ten bits writes neither a turn nor a profile
     mask, upright = "none", False
     if layout in MASKED_LAYOUTS and choice.random() < 0.45:
         mask = choice.choice(tuple(MASKS))

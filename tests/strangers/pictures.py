@@ -291,7 +291,7 @@ def with_code_points(data: bytes, statement: Statement) -> bytes:
 
 
 def _ten_bit(path: Path, pixels: ndarray, spec: Spec, statement: Statement, block: bytes) -> None:
-    """Write a HEIC or an AVIF with 10 bits of each channel; of the turn of the latter, nothing."""
+    """Write a HEIC, or an AVIF without turn and profile, with 10 bits of each channel."""
     import pillow_heif
 
     if spec.format == "avif":
