@@ -1,6 +1,5 @@
 """What strangers bring is read right, or refused with the file, the cause and what to do."""
 
-import os
 import sys
 import warnings
 from pathlib import Path
@@ -11,7 +10,6 @@ from strangers.judging import fault_of
 
 pytestmark = pytest.mark.slow
 
-CASELESS = os.path.exists(__file__.upper())
 LINKS = sys.platform != "win32"
 
 
