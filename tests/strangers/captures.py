@@ -94,7 +94,9 @@ def _with_mask(
     (folder / "masks").mkdir(exist_ok=True)
     called = name if case.layout.startswith("colmap") else stem
     spec, orientation = case.spec, case.spec.orientation
-    turn = orientation if case.painted_upright or spec.format == "heic" else 1
+    # A mask that states a turn of its own means what people see.
+    upright = case.painted_upright or spec.format == "heic" or case.mask == "orientation"
+    turn = orientation if upright else 1
     mask, alpha = write_mask(folder / "masks", called, case.mask, shown=turn, scale=spec.scale)
     covered = []
     for each in found:
