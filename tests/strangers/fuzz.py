@@ -142,6 +142,8 @@ def main() -> int:
             case = case_of(number, arguments.seed)
             found = outcome_of(case, Path(work) / "scene")
             totals[found.kind] += 1
+            if sum(totals.values()) % 250 == 0:
+                print(dict(totals), file=sys.stderr, flush=True)
             if found.kind == reading.REFUSED:
                 code = found.why.split(": ")[0]
                 meant = "as it must" if not case.spec.statement.means else "though readable"
