@@ -174,6 +174,33 @@ for _orientation in (3, 6, 8):
     )
 
 
+def _said_last(folder: Path) -> None:
+    """Write PNG whose orientation comes after the pixels, as ImageMagick has it, and upright masks."""
+
+    def save(path: Path, colours: np.ndarray, alpha: np.ndarray) -> None:
+        del colours, alpha
+        ball = _LEFT[..., None] & (disc() > 0)[..., None]
+        data = profiles.png(levels(np.where(ball, BALL, 0.02)[:_HEIGHT]))
+        block = profiles.chunk(b"eXIf", profiles.exif(orientation=3)[6:])
+        path.write_bytes(data[:-12] + block + data[-12:])
+
+    def mask(path: Path, alpha: np.ndarray) -> None:
+        MASKS["255"][1](path, turned(np.where(_LEFT, alpha, 0.0)[:_HEIGHT], 3))
+
+    write_transforms(folder, names_of(), save, frame={"mask_path": lambda index: f"masks/{index:03d}.png"})
+    write_masks(folder, names_of(folder="masks/"), mask)
+
+
+row(
+    "a31c orientation after the pixels of a PNG",
+    _said_last,
+    light=BALL,
+    alpha=0.1950,
+    centre=(SIDE / 2, SIDE / 2 - 8),
+    or_said=("mask_orientation", "mask_size"),
+)
+
+
 def _mirrored(folder: Path) -> None:
     write_photographs(folder, names_of(".jpg", ""), jpeg(exif=profiles.exif(orientation=2)))
 
