@@ -13,7 +13,7 @@ export OMP_WAIT_POLICY ?= PASSIVE
 
 SETUP := $(VENV)/.installed $(WEB)/node_modules/.installed
 
-.PHONY: help setup pages wheel demo test test-all test-extras test-programs chaos soak hostile mutants check fix sbom audit bench bench-compare bench-quick schema clean
+.PHONY: help setup pages wheel demo test test-all test-extras test-programs chaos soak hostile strangers mutants check fix sbom audit bench bench-compare bench-quick schema clean
 .DEFAULT_GOAL := help
 
 help: ## Show the targets
@@ -113,6 +113,12 @@ hostile: export LAMBENT_TIMING_ROUNDS ?= 400
 hostile: $(VENV)/.installed ## Attack the readers of files and the interface at length (COUNT=20000 SEED=1; an hour and more)
 	$(BIN)/python tests/support/mutations.py --count $(COUNT) --seed $(SEED) --keep build/hostile
 	$(BIN)/pytest -q -n 0 tests/hostile tests/contract/test_openapi_fuzz.py tests/contract/test_openapi_steps.py tests/contract/test_tenant_matrix.py
+
+# Captures in every format, drawn at random: how many, and with which seed. Five thousand take ten minutes on one core.
+strangers: STRANGERS ?= 5000
+strangers: export OMP_NUM_THREADS ?= 1
+strangers: $(VENV)/.installed ## Read captures of every combination of format, colours, alpha, turn, mask and layout (STRANGERS=5000 SEED=1)
+	$(BIN)/python -m tests.strangers.fuzz --count $(STRANGERS) --seed $(SEED)
 
 mutants: $(VENV)/.installed ## Make mistakes on purpose and see which test notices each (half an hour; MUTANTS_ARGS="--group server")
 	$(BIN)/python tests/mutants.py $(MUTANTS_ARGS)
