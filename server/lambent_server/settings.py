@@ -256,7 +256,7 @@ class Settings(BaseSettings):
     trusted_proxies: Annotated[
         tuple[str, ...], NoDecode, BeforeValidator(_split), AfterValidator(_networks)
     ] = ()
-    """Proxies that name client and scheme (`X-Forwarded-For`, `-Proto`): addresses and networks, by commas."""
+    """Proxies that name client and scheme (`X-Forwarded-For`, `-Proto`): addresses, networks, by commas."""
     provenance_key: LocalPath | None = None
     """PEM file of the Ed25519 key that signs where bundles are from. Default: made in the data folder."""
     oidc_issuer: str | None = None

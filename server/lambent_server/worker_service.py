@@ -217,12 +217,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
 
     def GetBlob(self, request: Any, context: Any) -> Iterator[Any]:  # noqa: N802
         """Send a file that the job's tenant may read."""
-        blob = self._answer(
-            context,
-            request.fence,
-            lambda connection, job: _require_blob(connection, job, request.sha256),
-            signal=False,
-        )
+        blob = self._answer(context, request.fence, _blob_of(request.sha256), signal=False)
         try:
             for chunk in self._services.store.read(blob.sha256, blob.size_bytes):
                 # The store decides the size of its pieces, and the channel limits the size of a message.
@@ -251,11 +246,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
 
     def LocateBlob(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Return where to read a file that the job's tenant may read."""
-
-        def act(connection: Connection, job: Job) -> Blob:
-            return _require_blob(connection, job, request.sha256)
-
-        blob = self._answer(context, request.fence, act, signal=False)
+        blob = self._answer(context, request.fence, _blob_of(request.sha256), signal=False)
         try:
             # Not in the transaction: the bytes may have to be read first.
             return worker_pb2.LocateBlobResponse(url=worker_uploads.locate(self._services, blob))
@@ -315,11 +306,14 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         return self._answer(context, request.fence, act, even_if_ended=True)
 
 
-def _require_blob(connection: Connection, job: Job, sha256: str) -> Blob:
-    blob = find_blob(connection, owner(job), sha256)
-    if blob is None:
-        raise Refused(grpc.StatusCode.NOT_FOUND, f"there is no blob {sha256}")
-    return blob
+def _blob_of(sha256: str) -> Callable[[Connection, Job], Blob]:
+    def act(connection: Connection, job: Job) -> Blob:
+        blob = find_blob(connection, owner(job), sha256)
+        if blob is None:
+            raise Refused(grpc.StatusCode.NOT_FOUND, f"there is no blob {sha256}")
+        return blob
+
+    return act
 
 
 def _note_end(connection: Connection, job: Job) -> None:
