@@ -210,7 +210,7 @@ def _note_exif(usable: Sequence[PhotographFigures], limits: PhotographLimits, pr
             "scene.colour_profile",
             [each for each in usable if each.colour_doubt == doubt],
             f"photographs each of which {doubt}",
-            "export them as sRGB if they look wrong",
+            "export them again if they look wrong",
             problems,
         )
     _note(

@@ -67,6 +67,18 @@ def photograph_mask(path: Path, photograph: Path, encoding: str = "") -> Mask:
     return Mask(coverage=chosen, full=mask.full, is_inverted=mask.is_inverted, is_as_stored=True)
 
 
+def fits(path: Path, photograph: Path) -> bool:
+    """Return whether a mask has the size of its photograph, as it is stored or as it is to be seen.
+
+    Raises `PictureError` for a file whose header cannot be read.
+    """
+    mask, picture = picture_size(path), picture_size(photograph)
+    if mask == picture:
+        return True
+    turns = {exif_facts(each).orientation for each in (path, photograph)}
+    return mask == picture[::-1] and not turns.isdisjoint({6, 8})
+
+
 def frame_coverage(folder: Path, frame: scene_pb2.Frame) -> Float32[ndarray, "height width"] | None:
     """Return the object's coverage of each pixel of the first photograph, or None if it is not given.
 

@@ -17,6 +17,7 @@ from PIL import Image
 from lambent_worker.scenes.picture_error import PictureError
 from lambent_worker.scenes.picture_statements import MIRRORED
 from lambent_worker.scenes.pictures import PILLOW_FORMATS, opened, picture_format
+from lambent_worker.scenes.png_header import late_exif
 from lambent_worker.scenes.raw_pictures import RAW_SUFFIXES, raw_settings
 
 MAKE, MODEL, ORIENTATION, DATE = 0x010F, 0x0110, 0x0112, 0x0132
@@ -104,13 +105,15 @@ def exif_tags(path: Path) -> tuple[dict[int, Any], dict[int, Any]]:
     """
     is_tiff = picture_format(path) == "TIFF"
     with path.open("rb") if is_tiff else opened(path) as source:
-        # PNG may store EXIF after the pixels; looking for it would decode them all.
-        if not is_tiff and source.format == "PNG" and "exif" not in source.info:
-            return {}, {}
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                exif = _of_tiff(source) if is_tiff else source.getexif()
+                if not is_tiff and source.format == "PNG" and "exif" not in source.info:
+                    # Behind the pixels; Pillow would decode them all to find it.
+                    exif = Image.Exif()
+                    exif.load(late_exif(path))
+                else:
+                    exif = _of_tiff(source) if is_tiff else source.getexif()
                 return dict(exif), dict(exif.get_ifd(EXIF_FOLDER))
         except Exception:  # damaged EXIF says nothing, and the picture is still a picture
             return {}, {}

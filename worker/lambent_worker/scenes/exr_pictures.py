@@ -25,6 +25,12 @@ STRAIGHT_SHARE = 0.5
 """Share of the transparent pixels that show colours from which on a file cannot hold multiplied ones."""
 _NEAR, _LEAST_OUTLINE = 3.0, 20
 """How far from the object pixels of its outline count, and how many of them say something."""
+_LEAST_SLOPE = 0.4
+"""Slope of log brightness over log alpha along the outline: 1 for multiplied colours, 0 for others."""
+STRAIGHT = (
+    "has colours that are not multiplied by alpha, as those of an EXR are to be, so they are taken as they "
+    "are (straight)"
+)
 _WINDOW = re.compile(rb"d(?:ata|isplay)Window\0box2i\0\x10\0\0\0(.{16})", re.DOTALL)
 _PREFERRED_LAYERS = ("combined", "beauty", "rgba", "composite", "color", "colour", "rgb")
 _REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
@@ -46,8 +52,10 @@ def exr_has_alpha(path: Path) -> bool:
 
 def exr_pixels(
     path: Path,
-) -> tuple[Float32[ndarray, "height width channels"], Float32[ndarray, "height width"] | None, ColourSpace]:
-    """Return colours (one or three channels) over the display window, straight alpha, and their space.
+) -> tuple[
+    Float32[ndarray, "height width channels"], Float32[ndarray, "height width"] | None, ColourSpace, str
+]:
+    """Return colours (one or three channels) over the display window, straight alpha, their space, any doubt.
 
     What the data window leaves out is black, and transparent where there is alpha; what it has beyond the
     display window is dropped. Raises `PictureError`.
@@ -67,10 +75,13 @@ def exr_pixels(
         planes = _from_luminance_chroma(planes, header)
     colours = np.stack([planes[key] for key in ("RGB" if "R" in planes else "Y")], axis=-1)
     alpha = np.clip(planes["A"], 0.0, 1.0) if "A" in planes else None
-    if alpha is not None and not _is_straight(colours, alpha):
-        covered = alpha > LEAST_ALPHA
-        colours[covered] /= alpha[covered][:, None]
-    return colours, alpha, space
+    if alpha is None:
+        return colours, None, space, ""
+    if _is_straight(colours, alpha):
+        return colours, alpha, space, STRAIGHT
+    covered = alpha > LEAST_ALPHA
+    colours[covered] /= alpha[covered][:, None]
+    return colours, alpha, space, ""
 
 
 def _chosen(path: Path) -> tuple[int, dict[str, Any], dict[str, str]]:
@@ -250,9 +261,11 @@ def _is_straight(
     known = (beside > 1e-4) & (seen > 1e-5)
     if known.sum() < _LEAST_OUTLINE:
         return False
-    ratio = np.log(seen[known] / beside[known])
-    as_multiplied = float(np.median(np.abs(ratio - np.log(share[known]))))
-    return float(np.median(np.abs(ratio))) < 0.5 * as_multiplied
+    ratio, by_alpha = np.log(seen[known] / beside[known]), np.log(share[known])
+    as_multiplied = float(np.median(np.abs(ratio - by_alpha)))
+    # Not for a rim that is brighter than what lies inside: multiplied colours still follow alpha there.
+    follows = float(np.polyfit(by_alpha, ratio, 1)[0]) if np.ptp(by_alpha) > 0.5 else 1.0
+    return follows < _LEAST_SLOPE and float(np.median(np.abs(ratio))) < 0.5 * as_multiplied
 
 
 def _size(window: Any) -> tuple[int, int]:

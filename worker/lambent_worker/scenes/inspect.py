@@ -183,7 +183,7 @@ def _look_at_pictures(
     for doubt, paths in doubts.items():
         problems.warning(
             "scene.colour_profile",
-            f"{listed(paths)}: each {doubt}; export as sRGB if they look wrong",
+            f"{listed(paths)}: each {doubt}; export again if they look wrong",
             paths[0],
         )
     if manifest.layout != photographs.NAME:

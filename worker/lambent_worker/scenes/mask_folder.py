@@ -6,6 +6,7 @@ from pathlib import Path, PurePosixPath
 
 from lambent_proto.v1 import scene_pb2
 
+from lambent_worker.scenes.coverage import fits
 from lambent_worker.scenes.frames import listed
 from lambent_worker.scenes.links import files_below
 from lambent_worker.scenes.mask_search import masks_of, names_of_mask
@@ -92,10 +93,11 @@ def masks_beside(folder: Path, photographs: Sequence[str], problems: Problems) -
     masks = masks_of(photographs, pictures_below(folder), problems)
     for name, mask in masks.items():
         try:
+            fitting = fits(folder / mask, folder / name)
             sizes = [picture_size(folder / each) for each in (mask, name)]
         except PictureError:  # the photograph, which is noted elsewhere, or a mask that will be
             continue
-        if sizes[0] != sizes[1]:
+        if not fitting:
             problems.warning(
                 "scene.mask_unused",
                 f"the {len(masks)} masks beside the photographs are not used, because {mask} has "

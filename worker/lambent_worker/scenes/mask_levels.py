@@ -25,6 +25,7 @@ from lambent_worker.scenes.pictures import (
     read_levels,
     read_picture,
 )
+from lambent_worker.scenes.png_header import png_header
 
 NERO_DEPTH = "nero_depth"
 """Encoding of a mask that is a depth picture of Glossy Synthetic: 65535 stands for 15 scene units."""
@@ -79,7 +80,7 @@ def read_mask(path: Path, encoding: str = "") -> Mask:
         picture = read_picture(path)
         if not np.isfinite(picture.levels).all():
             raise PictureError("scene.image_not_finite", "holds NaN or infinity; export it again without")
-        coverage, full = _covered(picture, lossy=_is_lossy(path))
+        coverage, full = _few_bits(path, picture) or _covered(picture, lossy=_is_lossy(path))
     inverted = _is_inverted(coverage)
     return Mask(
         coverage=1.0 - coverage if inverted else coverage,
@@ -118,6 +119,21 @@ def _covered(picture: Picture, *, lossy: bool) -> tuple[Float32[ndarray, "height
         levels = (grey if picture.is_linear else np.round(grey)).astype(levels.dtype)[..., None]
     grey = levels[..., 0]
     return _of_floats(grey) if picture.is_linear else _of_levels(grey, lossy=lossy)
+
+
+def _few_bits(path: Path, picture: Picture) -> tuple[Float32[ndarray, "height width"], int] | None:
+    """Return the labels of a grey PNG with 2 or 4 bits that does not use its whole scale; None for others.
+
+    Decoded, they are spread over 0..255, and look like greys.
+    """
+    if path.suffix.lower() in LINEAR_SUFFIXES or picture_format(path) != "PNG":
+        return None
+    header = png_header(path)
+    if header.colour_type != 0 or header.bit_depth not in (2, 4) or picture.alpha is not None:
+        return None
+    if not 0 < picture.levels.max() < 255:
+        return None
+    return (picture.levels[..., 0] > 0).astype(np.float32), 1
 
 
 def _of_levels(

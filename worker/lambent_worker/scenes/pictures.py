@@ -88,8 +88,8 @@ def read_picture(path: Path, *, side: int | None = None) -> Picture:
     suffix = path.suffix.lower()
     size = picture_size(path)
     if suffix == EXR_SUFFIX:
-        levels, alpha, space = exr_pixels(path)
-        picture = Picture(levels=levels, alpha=alpha, space=space)
+        levels, alpha, space, doubt = exr_pixels(path)
+        picture = Picture(levels=levels, alpha=alpha, space=space, colour_doubt=doubt)
     elif suffix == HDR_SUFFIX:
         picture = Picture(levels=hdr_pixels(path), alpha=None, space=LINEAR)
     elif suffix in RAW_SUFFIXES:

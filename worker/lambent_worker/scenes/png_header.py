@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _MOST_CHUNKS = 10_000
+_MOST_PIECES, _MOST_EXIF = 200_000, 2**20
 _KEPT = (b"IHDR", b"tRNS", b"cICP", b"sRGB", b"gAMA", b"cHRM")
 
 
@@ -25,6 +26,21 @@ class PngHeader:
     """Exponent from light to levels; 0 where not stated."""
     chromaticities: tuple[float, ...] | None
     """x and y of white, red, green, blue."""
+
+
+def late_exif(path: Path) -> bytes:
+    """Return the eXIf chunk behind the pixels, or nothing; the pixels are passed over, not decoded."""
+    with path.open("rb") as file:
+        file.seek(8)
+        for _ in range(_MOST_PIECES):
+            start = file.read(8)
+            if len(start) < 8 or start[4:] == b"IEND":
+                break
+            length = int.from_bytes(start[:4], "big")
+            if start[4:] == b"eXIf":
+                return file.read(length) if length <= _MOST_EXIF else b""
+            file.seek(length + 4, 1)
+    return b""
 
 
 def png_header(path: Path) -> PngHeader:

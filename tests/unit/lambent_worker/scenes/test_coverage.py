@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from lambent_proto.v1 import scene_pb2
 from lambent_worker.scenes.coverage import (
+    fits,
     frame_coverage,
     has_coverage,
     photograph_mask,
@@ -13,7 +14,7 @@ from lambent_worker.scenes.exif import exif_facts
 from lambent_worker.scenes.mask_levels import write_mask
 from lambent_worker.scenes.picture import turned
 from lambent_worker.scenes.picture_error import PictureError
-from lambent_worker.scenes.pictures import read_picture
+from lambent_worker.scenes.pictures import picture_size, read_picture
 from PIL import Image
 from support.captures import save
 
@@ -141,3 +142,15 @@ def test_a_mask_of_another_size_stays_as_it_is(tmp_path):
     taken(tmp_path / "p.png", 6, np.zeros((40, 56, 3), dtype=np.uint8))
     Image.fromarray(np.where(THING, 255, 0).astype(np.uint8)[:30]).save(tmp_path / "m.png")
     assert photograph_mask(tmp_path / "m.png", tmp_path / "p.png").coverage.shape == (30, 56)
+
+
+def test_a_mask_fits_as_stored_and_as_seen_and_no_other_way(tmp_path):
+    for orientation, expected in ((1, False), (3, False), (6, True), (8, True)):
+        taken(tmp_path / "p.png", orientation, np.zeros((40, 56, 3), dtype=np.uint8))
+        width, height = picture_size(tmp_path / "p.png")
+        Image.new("L", (height, width)).save(tmp_path / "turned.png")
+        Image.new("L", (width, height)).save(tmp_path / "same.png")
+        assert fits(tmp_path / "turned.png", tmp_path / "p.png") == expected
+        assert fits(tmp_path / "same.png", tmp_path / "p.png")
+    Image.new("L", (30, 30)).save(tmp_path / "other.png")
+    assert not fits(tmp_path / "other.png", tmp_path / "p.png")

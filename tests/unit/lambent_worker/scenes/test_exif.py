@@ -6,6 +6,7 @@ from lambent_worker.scenes.exif import ExifFacts, exif_facts
 from lambent_worker.scenes.pictures import picture_size, read_levels
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
+from support.png_files import png_bytes, png_chunk
 
 IMAGE = Image.fromarray(np.random.default_rng(0).integers(0, 255, (30, 40, 3), dtype=np.uint8))
 
@@ -100,3 +101,15 @@ def test_impossible_numbers_are_not_taken_over(tmp_path):
     facts = exif_facts(tmp_path / "a.jpg")
     assert (facts.orientation, facts.time_s, facts.focal_mm, facts.iso) == (1, 0.0, 0.0, 100.0)
     assert facts.taken == ""
+
+
+def test_exif_behind_the_pixels_of_a_png_counts(tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    (tmp_path / "a.png").write_bytes(
+        png_bytes(np.zeros((4, 6, 3), dtype=np.uint8)).replace(
+            png_chunk(b"IEND", b""),
+            png_chunk(b"eXIf", exif.tobytes().removeprefix(b"Exif\0\0")) + png_chunk(b"IEND", b""),
+        )
+    )
+    assert exif_facts(tmp_path / "a.png").orientation == 6

@@ -36,7 +36,16 @@ def test_colours_are_divided_by_alpha(tmp_path):
 def test_colours_that_were_clearly_not_multiplied_are_not_divided(tmp_path, background):
     straight = np.where(ALPHA[..., None] > 0.0, COLOURS, np.float32(background))
     found = read_picture(write(tmp_path / "a.exr", channels(straight, ALPHA)))
+    assert "straight" in found.colour_doubt
     np.testing.assert_allclose(found.linear()[ALPHA > 0.01], COLOURS[ALPHA > 0.01], rtol=1e-4)
+
+
+@pytest.mark.parametrize("rim", [0.5, 2.0, 4.0])
+def test_a_rim_of_another_brightness_is_no_reason_to_doubt_the_alpha(tmp_path, rim):
+    colours = np.where((ALPHA < 1.0)[..., None], rim * COLOURS, COLOURS)
+    found = read_picture(write(tmp_path / "a.exr", channels(colours * ALPHA[..., None], ALPHA)))
+    assert not found.colour_doubt
+    np.testing.assert_allclose(found.linear()[ALPHA > 0.01], colours[ALPHA > 0.01], rtol=1e-4)
 
 
 def test_a_data_window_is_a_part_of_the_frame(tmp_path):

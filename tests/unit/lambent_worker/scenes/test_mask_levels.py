@@ -47,6 +47,17 @@ def test_labels_are_objects_and_zero_is_not(tmp_path):
     np.testing.assert_array_equal(read_mask(written(tmp_path, labels)).coverage, DISC)
 
 
+@pytest.mark.parametrize("depth", [2, 4])
+def test_labels_of_few_bits_are_objects_and_a_whole_scale_is_grey(tmp_path, depth):
+    labels = np.where(DISC, 1 + (np.arange(32)[None] > 15), 0)[..., None]
+    (tmp_path / "m.png").write_bytes(png_bytes(labels, depth=depth))
+    np.testing.assert_array_equal(read_mask(tmp_path / "m.png").coverage, DISC)
+    full = 2**depth - 1
+    grey = np.where(DISC, 1 + (full - 1) * (np.arange(32)[None] > 15), 0)[..., None]
+    (tmp_path / "g.png").write_bytes(png_bytes(grey, depth=depth))
+    np.testing.assert_allclose(read_mask(tmp_path / "g.png").coverage, grey[..., 0] / full, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     "palette",
     [
