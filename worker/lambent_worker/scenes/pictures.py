@@ -186,7 +186,11 @@ def opened(path: Path) -> Image.Image:
         _learn_heif()
     try:
         with _only_bombs_are_errors():
-            return Image.open(path, formats=[known])
+            image = Image.open(path, formats=[known])
+        if known == "TIFF":
+            # Without a name Pillow maps no file, which garbles rows where an orientation turns the picture.
+            image.filename = ""
+        return image
     except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
         raise PictureError(
             "scene.image_too_large", f"has too many pixels; the limit is {MAX_PIXELS}, so reduce it"

@@ -101,10 +101,20 @@ def test_a_damaged_file_is_refused(tmp_path):
 
 @pytest.mark.parametrize("orientation", range(1, 9))
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
-def test_rows_are_those_of_the_file_and_mirror_images_are_mirrored_back(tmp_path, orientation, kind):
+@pytest.mark.parametrize("compression", [None, "lzw"])
+@pytest.mark.parametrize("alpha", [False, True])
+def test_rows_are_those_of_the_file_and_mirror_images_are_mirrored_back(
+    tmp_path, orientation, kind, compression, alpha
+):
     levels = (LEVELS >> 8).astype(np.uint8) if kind == np.uint8 else LEVELS
+    stored = np.dstack([levels, levels[..., 0]]) if alpha else levels
     tifffile.imwrite(
-        tmp_path / "a.tif", levels, photometric="rgb", extratags=[(274, "H", 1, orientation, True)]
+        tmp_path / "a.tif",
+        stored,
+        photometric="rgb",
+        compression=compression,
+        extrasamples=["unassalpha"] if alpha else None,
+        extratags=[(274, "H", 1, orientation, True)],
     )
     expected = levels[:, ::-1] if orientation in (2, 4, 5, 7) else levels
     assert picture_size(tmp_path / "a.tif") == (16, 12)
