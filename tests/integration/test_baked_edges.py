@@ -1,5 +1,7 @@
 """Edges of baked pictures: steps in depth are found, and both sides of one are shown as the volume says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from lambent_relight import Renderer, environment_from_array, load_bundle, turntable
@@ -9,6 +11,7 @@ from lambent_relight.baked.scene import load_baked_scene
 from lambent_relight.baked.view import look_at_surface
 from lambent_relight.bundle.graphs import NoCaches, PrimaryHits
 from lambent_relight.cameras import Camera, look_at
+from scipy import ndimage
 from support.analytic_scene import AnalyticScene
 from support.baked_bundle import SCENE, SLAB, write_baked_bundle
 from support.plain_shading import shade_pixels
@@ -109,6 +112,31 @@ def test_away_from_edges_the_mesh_decides_and_without_networks_everywhere(scene)
     assert not same[inner[place]].any()
     np.testing.assert_array_equal(soft.normal[kept][same], view.normal[place][same])
     assert with_soft_edges(view, NoCaches(), 2) is view
+
+
+def test_pixels_beside_the_border_come_from_the_volume_though_the_mesh_covers_them(scene):
+    """Where the volume and the mesh end in different places, a pixel beside the border shows it."""
+    view = look_at_surface(scene, AROUND, 2)
+    full = np.zeros((SIDE, SIDE), bool)
+    full.ravel()[view.pixel[view.coverage[:, 0] > 1.0 - 1e-6]] = True
+    beside = full & ndimage.binary_dilation(~full, np.ones((3, 3)))
+    assert beside.sum() > 20
+    soft = with_soft_edges(view, Haze(0.5, 3.0, 4.0), 2)
+    at = np.searchsorted(soft.pixel, np.flatnonzero(beside))
+    np.testing.assert_array_equal(soft.pixel[at], np.flatnonzero(beside))
+    np.testing.assert_allclose(soft.albedo[at], np.broadcast_to(GREY, (len(at), 3)), rtol=1e-5)
+
+
+def test_normals_of_edges_face_the_viewer_whichever_way_the_volume_has_them(scene):
+    class Backwards(Haze):
+        def gbuffer(self, origin, direction):
+            return replace(super().gbuffer(origin, direction), normal=direction)
+
+    view = look_at_surface(scene, AROUND, 2)
+    soft = with_soft_edges(view, Backwards(0.5, 3.0, 4.0), 2)
+    of_volume = (np.abs(soft.albedo - np.float32(GREY)) < 1e-4).all(axis=-1)
+    assert of_volume.sum() > 20
+    assert (soft.normal * soft.omega_o).sum(axis=-1)[of_volume].min() >= 0.0
 
 
 def test_exact_edges_stay_as_they_are(bundle):
