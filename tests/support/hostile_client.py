@@ -324,7 +324,7 @@ LIGHTS |= {
     "EXR cut off": ("exr", lambda: exr(np.ones((80, 160, 3)))[:3000], BROKEN),
     "HDR of 99 999 x 99 999": ("hdr", lambda: HDR + b"-Y 99999 +X 99999\n" + bytes(64), BROKEN),
     "HDR cut off": ("hdr", lambda: HDR + b"-Y 64 +X 128\n" + bytes(64), BROKEN),
-    "HDR of columns first": ("hdr", lambda: HDR + b"+X 128 -Y 64\n" + bytes(64 * 128 * 4), BROKEN),
+    "HDR with one axis twice": ("hdr", lambda: HDR + b"+X 128 -X 64\n" + bytes(64 * 128 * 4), BROKEN),
     "a picture named HDR": ("hdr", lambda: b"\xff\xd8\xff\xe0" + bytes(300), BROKEN),
     "nothing": ("exr", lambda: b"", BROKEN),
 }

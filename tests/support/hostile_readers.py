@@ -76,7 +76,9 @@ def read_archive(name: str, data: bytes, *, check: bool = True) -> Verdict:
         kept = Path(folder) / "kept"
         kept.mkdir()
         try:
-            members, _ = archives._keep(decoding._entries(decoder), kept, budget, SETTINGS)
+            members, _ = archives._keep(
+                decoding._entries(decoder), kept, budget, SETTINGS, archives._NoLimit()
+            )
             files = [scene_rows.SceneFile(each.path, each.sha256, each.size_bytes) for each in members]
             scene_rows.check_files(files, SETTINGS)
         except Problem as problem:
