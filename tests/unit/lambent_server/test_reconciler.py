@@ -1,5 +1,6 @@
 """What kills and failing disks leave behind is found: bytes without rows, rows without bytes."""
 
+import errno
 import os
 import time
 from collections.abc import Iterator
@@ -131,9 +132,9 @@ def test_a_start_clears_what_uploads_have_left(tmp_path: Path):
 def test_an_archive_is_unpacked_where_the_next_start_clears_up(api: Api, monkeypatch: pytest.MonkeyPatch):
     folders: list[Path] = []
 
-    def unpack(_archive: Path, folder: Path, _settings: object) -> None:
+    def unpack(_archive: Path, folder: Path, _settings: object, _room: object) -> None:
         folders.append(folder.parent)
-        raise OSError("killed here")
+        raise OSError(errno.ENOSPC, "killed here")
 
     monkeypatch.setattr("lambent_server.routes.scenes.unpack", unpack)
     scene_id = expect(api.post("/v1/scenes", json={"name": "x"}), 201)["id"]
