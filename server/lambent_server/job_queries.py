@@ -10,6 +10,8 @@ from sqlalchemy import Connection
 
 from lambent_server import bake_rows, bundle_rows, job_counts, label_rows
 from lambent_server.accounts import quotas
+from lambent_server.accounts.makers import columns_of
+from lambent_server.accounts.who import NOBODY, Maker
 from lambent_server.change_messages import JobChange
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import job_labels, jobs, scenes
@@ -137,7 +139,13 @@ def order_of(row: Row) -> NewJob:
 
 
 def submit_once(
-    connection: Connection, tenant: Tenant, order: NewJob, services: Services, key: str | None, digest: str
+    connection: Connection,
+    tenant: Tenant,
+    order: NewJob,
+    services: Services,
+    key: str | None,
+    digest: str,
+    maker: Maker = NOBODY,
 ) -> Row:
     """Add a job to the queue, or return the one that was submitted earlier with this key.
 
@@ -152,11 +160,16 @@ def submit_once(
     if odd is not None:
         message = f"sizes of textures are multiples of {SIZE_STEP} texels, not {order.params[odd]}"
         raise invalid("setting_invalid", f"#/params/{odd}", message)
-    return submit(connection, tenant, order, services, job_id)
+    return submit(connection, tenant, order, services, job_id, maker)
 
 
 def submit(
-    connection: Connection, tenant: Tenant, order: NewJob, services: Services, job_id: str | None = None
+    connection: Connection,
+    tenant: Tenant,
+    order: NewJob,
+    services: Services,
+    job_id: str | None = None,
+    maker: Maker = NOBODY,
 ) -> Row:
     """Add a job to the queue; raises the problem if it cannot be accepted."""
     gpus = _check_order(connection, order, services)
@@ -198,6 +211,7 @@ def submit(
         labels=order.labels,
         seed=order.seed,
         webhook=order.webhook,
+        **columns_of(maker),
     )
 
 

@@ -58,7 +58,7 @@ class Webhook(Shown):
     events: list[EventType]
     labels: dict[str, str]
     enabled: bool
-    disabled_reason: Literal["", "asked", "gone"]
+    disabled_reason: Literal["", "asked", "gone", "maker_left"]
     """`gone` if the receiver answered 410."""
     created_at: str
 

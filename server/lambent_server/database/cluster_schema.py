@@ -65,6 +65,8 @@ login_codes = Table(
     # The user or the key that made the link; neither: the server itself
     optional_text_column("maker_user_id"),
     optional_text_column("maker_key_id"),
+    # Hash of the token of the session in which it was made; null: in none
+    optional_text_column("maker_session"),
     Index(None, "expires_at"),
 )
 

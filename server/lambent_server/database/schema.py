@@ -53,6 +53,9 @@ api_keys = Table(
     _optional_text("scopes"),
     # Whose key it is; null: nobody's in particular
     _optional_text("user_id"),
+    # The user or the key that made it. Neither: the server, or an operator
+    _optional_text("maker_user_id"),
+    _optional_text("maker_key_id"),
     UniqueConstraint("key_sha256"),
 )
 
@@ -68,6 +71,8 @@ sessions = Table(
     # Who made that link; neither: the server itself
     _optional_text("maker_user_id"),
     _optional_text("maker_key_id"),
+    # Hash of the token of the session in which that link was made; null: in none
+    _optional_text("maker_session"),
     Index(None, "expires_at"),
 )
 
@@ -166,6 +171,9 @@ jobs = Table(
     _optional_text("preview_sha256"),
     # Where its end is told.
     _optional_text("webhook"),
+    # Who asked for it: it gets nothing once they have left
+    _optional_text("maker_user_id"),
+    _optional_text("maker_key_id"),
     # What counts against the GPU minutes of its tenant until it has ended, at least.
     _optional_time("gpu_s_reserved"),
     Index(None, "tenant_id", "id"),
@@ -334,6 +342,9 @@ shares = Table(
     _optional_time("revoked_at"),
     # Origins whose pages may show the bundle, separated by spaces; none if it is null.
     _optional_text("frame_ancestors"),
+    # Who made it: it ends with them
+    _optional_text("maker_user_id"),
+    _optional_text("maker_key_id"),
     Index(None, "bundle_id"),
     Index(None, "expires_at"),
 )

@@ -30,8 +30,10 @@ webhooks = Table(
     optional_time_column("previous_until"),
     time_column("created_at"),
     optional_time_column("disabled_at"),
-    # "gone" if the receiver said so, "asked" if a person did
+    # "gone" if the receiver said so, "asked" if a person did, "maker_left" if whoever made it has left
     text_column("disabled_reason"),
+    optional_text_column("maker_user_id"),
+    optional_text_column("maker_key_id"),
     Index(None, "tenant_id", "id"),
 )
 

@@ -53,7 +53,7 @@ def create_webhook(
     with services.database.write() as connection:
         known = made_before(connection, tenant, key, digest_of("webhook", body), identifier)
         if known is None:
-            row = webhook_rows.create(connection, tenant, body, services.settings, identifier)
+            row = webhook_rows.create(connection, tenant, body, services.settings, identifier, who.maker)
             audit.record(connection, who, "create_webhook", identifier)
         else:
             row = webhook_rows.require(connection, tenant, known)
