@@ -10,7 +10,7 @@ from sqlalchemy import Connection
 
 from lambent_server import bake_rows, bundle_rows, job_counts, label_rows
 from lambent_server.accounts import quotas
-from lambent_server.accounts.makers import columns_of
+from lambent_server.accounts.makers import columns_of, maker_of
 from lambent_server.accounts.who import NOBODY, Maker
 from lambent_server.change_messages import JobChange
 from lambent_server.clock import new_id, now, rfc3339
@@ -213,6 +213,11 @@ def submit(
         webhook=order.webhook,
         **columns_of(maker),
     )
+
+
+def submit_again(connection: Connection, tenant: Tenant, job: Row, services: Services) -> Row:
+    """Add a job with the request of another one; its webhook stays that of whoever asked for the first."""
+    return submit(connection, tenant, order_of(job), services, maker=maker_of(job))
 
 
 def num_unfinished(connection: Connection, tenant: Tenant) -> int:

@@ -1,6 +1,6 @@
 """Keys for programs: creating, listing, revoking and replacing them. Only their hashes are stored."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -106,7 +106,7 @@ def create(
     scopes = None if order.scopes is None else joined(order.scopes)
     row = {"id": identifier, "expires_at": until, "scopes": scopes, "user_id": user_id}
     if maker is not None:
-        row |= _within(_require(connection, tenant, maker.id), maker, order, until)
+        row |= _within(_require_working(connection, tenant, maker), maker, order, until)
     return _issue(connection, tenant, order.name, new_secret(PREFIX), **row)
 
 
@@ -114,7 +114,12 @@ def _within(own: Row, maker: Who, order: NewKey, until: float | None) -> dict[st
     """Return the columns of a key that the key `own` makes: nobody hands out more than they have."""
     wanted = maker.scopes if order.scopes is None else frozenset(order.scopes)
     if wanted - maker.scopes:
-        raise exceeds_scopes(wanted, maker)
+        more = ", ".join(sorted(wanted - maker.scopes))
+        raise Problem(
+            403,
+            "scope_exceeded",
+            f"this key may not do {more} itself, so it can give that to no other; ask an operator for one",
+        )
     if until is not None and own["expires_at"] is not None and until > own["expires_at"]:
         raise invalid(
             "expiry_exceeded",
@@ -128,16 +133,6 @@ def _within(own: Row, maker: Who, order: NewKey, until: float | None) -> dict[st
         "maker_key_id": own["id"],
         "maker_user_id": own["user_id"],
     }
-
-
-def exceeds_scopes(wanted: Iterable[ScopeName], who: Who) -> Problem:
-    """Return the problem of one who asks for a key that may do more than they may."""
-    more = ", ".join(sorted(set(wanted) - who.scopes))
-    return Problem(
-        403,
-        "scope_exceeded",
-        f"this key may not do {more} itself, so it can give that to no other; ask an operator for such a key",
-    )
 
 
 def _issue(connection: Connection, tenant: Tenant, name: str, secret: str, **values: Any) -> CreatedKey:
@@ -175,18 +170,27 @@ def revoke(connection: Connection, tenant: Tenant, key_id: str) -> None:
         end_what_keys_made(connection, tenant, ended)
 
 
-def rotate(connection: Connection, tenant: Tenant, key_id: str, data: Path, maker: Who) -> CreatedKey:
+def rotate(
+    connection: Connection, tenant: Tenant, key_id: str, data: Path, maker: Who | None = None
+) -> CreatedKey:
     """Replace a key, which is revoked, with a new one; for the data folder's key, rewrite its file.
 
-    Share links and subscriptions pass to the new key; keys that the old one made end. Raises
-    `key_of_another` for a person's key, which only that person may replace, and for one that made `maker`,
-    and `scope_exceeded` or `expiry_exceeded` for one that may do more, or for longer, than `maker`.
+    Share links, subscriptions and webhooks of jobs pass to the new key; keys that the old one made end.
+    Without `maker` an operator does it. Raises `key_of_another` unless `maker` is the key itself, or has made
+    it: whoever replaces a key gets its secret, and so one that would not end with their own.
     """
     row = _require(connection, tenant, key_id)
+    if maker is not None:
+        _require_working(connection, tenant, maker)
     if row["revoked_at"] is not None:
         raise conflict("key_revoked", f"key {key_id} is revoked permanently; create another one")
-    if key_id != maker.id:
-        _check_rotation(connection, tenant, row, maker)
+    if maker is not None and maker.id not in (key_id, *makers_of_key(connection, tenant, key_id)):
+        raise Problem(
+            403,
+            "key_of_another",
+            "whoever replaces a key gets its secret: that is for the key itself, for one that has made it, "
+            "and for operators; revoke it, and let a new one be made",
+        )
     kept = {name: row[name] for name in ("expires_at", "scopes", "user_id", "maker_user_id", "maker_key_id")}
     fresh = _issue(connection, tenant, row["name"], new_secret(PREFIX), **kept)
     pass_on(connection, tenant, key_id, fresh.id)
@@ -197,20 +201,17 @@ def rotate(connection: Connection, tenant: Tenant, key_id: str, data: Path, make
     return fresh
 
 
-def _check_rotation(connection: Connection, tenant: Tenant, row: Row, maker: Who) -> None:
-    own = _require(connection, tenant, maker.id)
-    of_another = row["user_id"] is not None and row["user_id"] != own["user_id"]
-    if of_another or row["id"] in makers_of_key(connection, tenant, maker.id):
+def _require_working(connection: Connection, tenant: Tenant, maker: Who) -> Row:
+    """Return the row of the key that makes a request, locked: it may have ended since it was looked at."""
+    row = _require(connection, tenant, maker.id)
+    if row["revoked_at"] is not None:
         raise Problem(
-            403,
-            "key_of_another",
-            "whoever replaces a key gets its secret, and this one is another person's, or made yours; revoke "
-            "it, and let a new one be made",
+            401,
+            "not_authenticated",
+            "this key has just been revoked; use another one",
+            headers={"www-authenticate": 'Bearer realm="lambent"'},
         )
-    if parsed(row["scopes"]) - maker.scopes:
-        raise exceeds_scopes(parsed(row["scopes"]), maker)
-    if own["expires_at"] is not None and (row["expires_at"] is None or row["expires_at"] > own["expires_at"]):
-        raise Problem(403, "expiry_exceeded", "this key is valid for longer than yours; revoke it instead")
+    return row
 
 
 def last_revoked_at(connection: Connection, tenant: Tenant) -> float:

@@ -59,7 +59,7 @@ class Webhook(Shown):
     labels: dict[str, str]
     enabled: bool
     disabled_reason: Literal["", "asked", "gone", "maker_left"]
-    """`gone` if the receiver answered 410."""
+    """`gone`: the receiver answered 410. `maker_left`: whoever made it has left, or their key was revoked."""
     created_at: str
 
 

@@ -108,8 +108,18 @@ def create(
     return require(connection, tenant, identifier)
 
 
-def update(connection: Connection, tenant: Tenant, row: Row, order: WebhookChange, settings: Settings) -> Row:
-    """Change a subscription; what waits to be delivered goes to the new address."""
+def update(
+    connection: Connection,
+    tenant: Tenant,
+    row: Row,
+    order: WebhookChange,
+    settings: Settings,
+    maker: Maker = NOBODY,
+) -> Row:
+    """Change a subscription; what waits to be delivered goes to the new address.
+
+    Whoever gives it another address, or enables it, is its maker from then on: it ends with them.
+    """
     values = order.model_dump(exclude_none=True, exclude={"enabled", "labels"})
     if order.labels is not None:
         values["labels"] = label_rows.merged(row["labels"], order.labels)
@@ -120,6 +130,8 @@ def update(connection: Connection, tenant: Tenant, row: Row, order: WebhookChang
             webhook_deliveries.c.webhook_id == row["id"], waiting
         )
         connection.execute(statement.values(url=order.url, host=host_of(order.url)))
+    if order.url is not None or order.enabled is True:
+        values |= columns_of(maker)
     if order.enabled is True:
         values |= {"disabled_at": None, "disabled_reason": ""}
     if values:

@@ -10,7 +10,7 @@ from lambent_server.accounts.who import Maker
 from lambent_server.clock import now
 from lambent_server.database.people_schema import members, organisations, users
 from lambent_server.database.schema import api_keys, jobs, shares
-from lambent_server.database.service_schema import webhooks
+from lambent_server.database.service_schema import webhook_deliveries, webhooks
 from lambent_server.database.tenancy import Tenant, across_tenants, change, rows
 
 LEFT = "maker_left"
@@ -131,6 +131,14 @@ def pass_on(connection: Connection, tenant: Tenant, old: str, new: str) -> None:
 
 
 def _end(connection: Connection, table: Table, made: ColumnElement[bool]) -> None:
-    ended, reason = ("revoked_at", {}) if table is shares else ("disabled_at", {"disabled_reason": LEFT})
-    statement = update(table).where(made, table.c[ended].is_(None))
-    connection.execute(statement.values({ended: now(), **reason}))
+    made &= table.c["revoked_at" if table is shares else "disabled_at"].is_(None)
+    if table is shares:
+        connection.execute(update(shares).where(made).values(revoked_at=now()))
+        return
+    # As if somebody had disabled it: what waits to be delivered has failed.
+    waiting = webhook_deliveries.c.webhook_id.in_(select(webhooks.c.id).where(made))
+    failed = {"state": "failed", "next_at": None, "claim": None, "ended_at": now()}
+    connection.execute(
+        update(webhook_deliveries).where(waiting, webhook_deliveries.c.next_at.is_not(None)).values(**failed)
+    )
+    connection.execute(update(webhooks).where(made).values(disabled_at=now(), disabled_reason=LEFT))

@@ -75,7 +75,8 @@ def redeem_login_code(connection: Connection, code: str) -> Redeemed | None:
     until = None
     if row["maker_session"] is not None:
         parent = across_tenants(sessions).where(sessions.c.token_sha256 == row["maker_session"])
-        session = connection.execute(parent).mappings().one_or_none()
+        # Locked: a logout now would not find the session that is opened with this link.
+        session = connection.execute(parent.with_for_update()).mappings().one_or_none()
         until = None if session is None else session["expires_at"]
         if until is None or until <= now():
             return None

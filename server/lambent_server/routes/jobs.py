@@ -207,7 +207,7 @@ def retry_job(
                 "job_not_ended", f"job {job_id} is {job['state']}; only failed and cancelled jobs can"
             )
         if job["order_id"] is None:
-            fresh = job_queries.submit(connection, tenant, job_queries.order_of(job), services)
+            fresh = job_queries.submit_again(connection, tenant, job, services)
         else:
             fresh = render_rows.queue_again(connection, tenant, job, services)
         point_to(connection, tenant, key, fresh["id"])

@@ -92,7 +92,7 @@ def change_webhook(
     with services.database.write() as connection:
         row = webhook_rows.require(connection, tenant, webhook_id, lock=True)
         require_match(if_match, webhook_rows.show(row))
-        changed = webhook_rows.update(connection, tenant, row, body, services.settings)
+        changed = webhook_rows.update(connection, tenant, row, body, services.settings, who.maker)
         audit.record(connection, who, "change_webhook", webhook_id)
         return webhook_rows.show(changed)
 

@@ -281,6 +281,8 @@ export interface components {
             key: string | null;
             /** Last Used At */
             last_used_at: string | null;
+            /** Made By */
+            made_by: string | null;
             /** Name */
             name: string;
             /** Revoked At */
@@ -301,7 +303,7 @@ export interface components {
              * Disabled Reason
              * @enum {string}
              */
-            disabled_reason: "" | "asked" | "gone";
+            disabled_reason: "" | "asked" | "gone" | "maker_left";
             /** Enabled */
             enabled: boolean;
             /** Events */
@@ -626,6 +628,8 @@ export interface components {
             id: string;
             /** Last Used At */
             last_used_at: string | null;
+            /** Made By */
+            made_by: string | null;
             /** Name */
             name: string;
             /** Revoked At */
@@ -1620,7 +1624,7 @@ export interface components {
              * Disabled Reason
              * @enum {string}
              */
-            disabled_reason: "" | "asked" | "gone";
+            disabled_reason: "" | "asked" | "gone" | "maker_left";
             /** Enabled */
             enabled: boolean;
             /** Events */
