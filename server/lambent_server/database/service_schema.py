@@ -5,6 +5,7 @@ from sqlalchemy import JSON, Column, Index, PrimaryKeyConstraint, Table, Text
 from lambent_server.database.columns import (
     count_column,
     id_column,
+    maker_columns,
     metadata,
     optional_text_column,
     optional_time_column,
@@ -32,8 +33,7 @@ webhooks = Table(
     optional_time_column("disabled_at"),
     # "gone" if the receiver said so, "asked" if a person did, "maker_left" if whoever made it has left
     text_column("disabled_reason"),
-    optional_text_column("maker_user_id"),
-    optional_text_column("maker_key_id"),
+    *maker_columns(),
     Index(None, "tenant_id", "id"),
 )
 

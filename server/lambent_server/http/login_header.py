@@ -43,10 +43,10 @@ def login_secret(settings: Settings) -> bytes | None:
         if settings.login_header is None or not local:
             return None
         raise SecretError(
-            f"serve.login_secret_missing: LAMBENT_LOGIN_HEADER is believed from {local[0]}, which every process "
-            "of this machine can be; write a secret (`openssl rand -hex 32`) into a file that only the server "
-            "and the proxy can read, name it in LAMBENT_LOGIN_SECRET_FILE, and let the proxy send it in "
-            "X-Lambent-Login-Secret"
+            f"serve.login_secret_missing: LAMBENT_LOGIN_HEADER counts from {local[0]}, and every process "
+            "of this machine can have that address; write a secret (`openssl rand -hex 32`) into a file that "
+            "only the server and the proxy can read, name it in LAMBENT_LOGIN_SECRET_FILE, and let the proxy "
+            "send it in X-Lambent-Login-Secret"
         )
     try:
         secret = path.read_text(encoding="ascii").strip()
@@ -56,7 +56,7 @@ def login_secret(settings: Settings) -> bytes | None:
         secret = ""
     if len(secret) < MIN_SECRET or not secret.isprintable():
         raise SecretError(
-            f"serve.login_secret_invalid: {path} must hold one line of at least {MIN_SECRET} ASCII characters, "
+            f"serve.login_secret_invalid: {path} must hold a line of at least {MIN_SECRET} ASCII characters, "
             "such as `openssl rand -hex 32` prints"
         )
     return secret.encode()

@@ -1,143 +1,47 @@
 """What somebody made ends with them, and is no more than they have: keys, links, shares, subscriptions."""
 
-import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from lambent_server import keys
-from lambent_server.accounts import makers, users
+from lambent_server.accounts import makers
 from lambent_server.accounts.scopes import ALL
 from lambent_server.accounts.who import Who
-from lambent_server.admin.commands import app
-from lambent_server.app import describe
 from lambent_server.clock import now
-from lambent_server.database.engine import Database
-from lambent_server.database.schema import api_keys, sessions, shares
+from lambent_server.database.cluster_schema import login_codes
+from lambent_server.database.schema import api_keys, jobs, sessions, shares
+from lambent_server.database.service_schema import webhooks
 from lambent_server.database.tenancy import change, rows
-from lambent_server.http.identity import COOKIE, open_session
 from lambent_server.problems import Problem
-from lambent_server.secrets import read_or_create_secret, sha256_text
 from lambent_server.webhook_claims import claim
 from starlette.testclient import TestClient
-from support.api import TENANT, Api, expect, expect_problem, opened
-from support.databases import postgresql
-from support.server_rows import add_bundle
-from typer.testing import CliRunner
-
-EVE = "eve@example.com"
-CSRF = {"x-lambent-csrf": "1"}
-HOOK = "https://hooks.example/hook"
-LEAVES = {
-    "removed": ("user", "remove", EVE, "--org", "default"),
-    "disabled": ("user", "disable", EVE),
-    "deleted": ("user", "delete", EVE, "--yes"),
-}
-DEMOTED = ("user", "add", EVE, "--org", "default", "--role", "viewer")
-PROMOTED = ("user", "add", EVE, "--org", "default", "--role", "admin")
+from support.api import TENANT, Api, expect, expect_problem
+from support.eve import (
+    DEMOTED,
+    HOOK,
+    LEAVES,
+    PROMOTED,
+    browser_of_eve,
+    hers,
+    id_of,
+    make,
+    opens,
+    operate,
+    robot,
+    share,
+    subscribe,
+    told,
+    with_eve,
+    works,
+)
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.services)])
 def api(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Api]:
-    """Yield an interface with Eve, an admin, and a bundle."""
-    with contextlib.ExitStack() as stack:
-        given: dict[str, Any] = {}
-        if request.param == "postgresql":
-            given["database"] = stack.enter_context(postgresql())
-            database = Database(given["database"].replace("postgresql:", "postgresql+psycopg:"))
-            stack.enter_context(contextlib.closing(database)).migrate()
-        api = stack.enter_context(opened(tmp_path / "data", **given))
-        read_or_create_secret(tmp_path / "data" / "worker.secret")
-        operate(api, *PROMOTED)
-        add_bundle(api, tmp_path, {"manifest.json": b"{}"})
+    with with_eve(request.param, tmp_path) as api:
         yield api
-
-
-def operate(api: Api, *arguments: str) -> str:
-    """Return what a command of an operator prints."""
-    settings = api.services.settings
-    where = ["--data", str(settings.data)]
-    where += [] if settings.database is None else ["--database", settings.database]
-    result = CliRunner().invoke(app, [*arguments, *where])
-    assert result.exit_code == 0, result.output
-    return result.stdout.strip()
-
-
-def hers(api: Api, *arguments: str) -> TestClient:
-    """Return a client with a key that an operator has made for Eve."""
-    return api.other(operate(api, "key", "create", "hers", "--org", "default", "--user", EVE, *arguments))
-
-
-def robot(api: Api, *arguments: str) -> TestClient:
-    """Return a client with a key that an operator has made for nobody in particular."""
-    return api.other(operate(api, "key", "create", "robot", "--org", "default", *arguments))
-
-
-def make(client: TestClient, **order: Any) -> dict[str, Any]:
-    """Return a key that the key of a client makes."""
-    return expect(client.post("/v1/keys", json={"name": "made", **order}), 201)
-
-
-def id_of(api: Api, client: TestClient) -> str:
-    """Return the id of the key of a client."""
-    digest = sha256_text(client.headers["authorization"].partition(" ")[2])
-    with api.services.database.read() as connection:
-        mine = rows(TENANT, api_keys, api_keys.c.id).where(api_keys.c.key_sha256 == digest)
-        return str(connection.execute(mine).scalar_one())
-
-
-def works(client: TestClient) -> bool:
-    return client.get("/v1/scenes").status_code == 200
-
-
-def browser_of_eve(api: Api, lifetime_s: float = 60.0) -> TestClient:
-    with api.services.database.write() as connection:
-        token = open_session(connection, TENANT, lifetime_s, users.require(connection, EVE)["id"])
-    return with_cookie(api, token)
-
-
-def with_cookie(api: Api, token: str) -> TestClient:
-    browser = api.other(None)
-    browser.cookies.set(COOKIE, token, domain="localhost.local")
-    browser.headers |= CSRF
-    return browser
-
-
-def code_of(client: TestClient) -> dict[str, str]:
-    """Return the body that redeems a new one-time link of this client."""
-    link = expect(client.post("/v1/login-links"), 201)["url"]
-    return {"code": link.partition("#code=")[2]}
-
-
-def opened_by(api: Api, client: TestClient) -> TestClient:
-    """Return a browser that has opened a one-time link of this client."""
-    browser = api.other(None)
-    expect(browser.post("/v1/login", json=code_of(client)), 204)
-    browser.headers |= CSRF
-    return browser
-
-
-def share(client: TestClient, **body: Any) -> str:
-    """Return the token of a share link."""
-    made = expect(client.post("/v1/bundles/bundle_x/shares", json=body), 201)
-    return str(made["url"].partition("#")[2])
-
-
-def opens(api: Api, token: str) -> bool:
-    return api.other(None).post("/v1/shares:open", json={"token": token}).status_code == 200
-
-
-def subscribe(client: TestClient) -> dict[str, Any]:
-    order = {"url": HOOK, "events": ["job.cancelled"]}
-    return expect(client.post("/v1/webhooks", json=order), 201)
-
-
-def told(api: Api, job: dict[str, Any] | None = None) -> int:
-    """Return how many deliveries there are once a job was cancelled: this one, or one without a webhook."""
-    job = job or api.job()
-    expect(api.post(f"/v1/jobs/{job['id']}:cancel"), 202)
-    return len(expect(api.get(f"/v1/deliveries?job={job['id']}"), 200)["items"])
 
 
 @pytest.mark.parametrize("how", LEAVES)
@@ -336,40 +240,6 @@ def test_a_subscription_is_of_whoever_last_chose_its_address_or_enabled_it(api: 
     assert told(api) == 2
 
 
-def test_browsers_that_opened_links_of_each_other_log_out_together(api: Api):
-    first = browser_of_eve(api)
-    second = opened_by(api, first)
-    third = opened_by(api, second)
-    unused = [code_of(each) for each in (first, second, third)]
-    assert [works(each) for each in (first, second, third)] == [True] * 3
-    expect(first.post("/v1/logout"), 204)
-    assert [works(each) for each in (first, second, third)] == [False] * 3
-    for body in unused:
-        expect_problem(api.other(None).post("/v1/login", json=body), 401, "login_code_invalid")
-
-
-def test_a_browser_that_opened_a_link_of_another_logs_out_alone(api: Api):
-    first = browser_of_eve(api)
-    second = opened_by(api, first)
-    expect(second.post("/v1/logout"), 204)
-    assert (works(first), works(second)) == (True, False)
-
-
-def test_a_session_lasts_no_longer_than_the_one_in_which_its_link_was_made(api: Api):
-    first = browser_of_eve(api, 3600.0)
-    opened_by(api, opened_by(api, first))
-    with api.services.database.read() as connection:
-        ends = list(connection.execute(rows(TENANT, sessions, sessions.c.expires_at)).scalars())
-    assert len(ends) == 3
-    assert max(ends) <= min(ends) + 0.1
-
-
-def test_a_link_made_with_a_key_opens_a_session_with_the_scopes_of_that_key(api: Api):
-    browser = opened_by(api, robot(api, "--scope", "admin", "--scope", "read"))
-    assert expect(browser.get("/v1/me"), 200)["scopes"] == ["admin", "read"]
-    expect_problem(browser.post("/v1/scenes", json={"name": "s"}), 403, "scope_missing")
-
-
 def test_only_a_key_gives_a_job_a_webhook(api: Api):
     order = {"scene_id": api.scene(), "preset": "tiny"}
     browser = browser_of_eve(api)
@@ -378,59 +248,6 @@ def test_only_a_key_gives_a_job_a_webhook(api: Api):
     expect(hers(api).post("/v1/jobs", json={**order, "webhook": HOOK}), 202)
 
 
-DATA = "belongs to the organisation, and gives nobody access"
-ENDS = {
-    "POST /v1/login": "with the maker of its link, and with the session in which that was made",
-    "POST /v1/login-links": "as the session that it opens",
-    "POST /v1/me:switch": "with the sign-in that it goes on from",
-    "POST /v1/keys": "with the key that made it",
-    "POST /v1/keys/{key_id}:rotate": "as the key that it replaces",
-    "POST /v1/bundles/{bundle_id}/shares": "with its maker",
-    "POST /v1/shares:open": "as the link that it exchanges for a cookie",
-    "POST /v1/webhooks": "with its maker",
-    "PATCH /v1/webhooks/{webhook_id}": "with whoever chose its address or enabled it",
-    "POST /v1/webhooks/{webhook_id}:rotate": "with the subscription",
-    "POST /v1/webhooks/{webhook_id}:ping": "with the subscription",
-    "POST /v1/webhook-secret:rotate": "is the organisation's, for it signs and opens nothing",
-    "POST /v1/deliveries/{delivery_id}:redeliver": "with the subscription, or the maker of the job",
-    "POST /v1/jobs": "its webhook with its maker",
-    "POST /v1/jobs/{job_id}:retry": "its webhook with the maker of the first job",
-    "POST /v1/logout": "makes nothing",
-    "POST /v1/estimates": "makes nothing",
-    "POST /v1/jobs/{job_id}:cancel": "makes nothing",
-    "POST /v1/batches/{batch_id}:cancel": "makes nothing",
-    "PATCH /v1/jobs/{job_id}": DATA,
-    "POST /v1/batches/{batch_id}:retry": DATA,
-    "POST /v1/renders": DATA,
-    "POST /v1/batches": DATA,
-    "POST /v1/environments": DATA,
-    "PATCH /v1/bundles/{bundle_id}": DATA,
-    "POST /v1/scenes": DATA,
-    "PATCH /v1/scenes/{scene_id}": DATA,
-    "POST /v1/scenes/{scene_id}:commit": DATA,
-    "POST /v1/scenes/{scene_id}/files:plan": DATA,
-    "PUT /v1/scenes/{scene_id}/files/{sha256}": DATA,
-    "PUT /v1/scenes/{scene_id}/archive": DATA,
-    "POST /v1/scenes/{scene_id}/files:uploads": "addresses of the store, which end within minutes",
-    "POST /v1/scenes/{scene_id}/files:complete": DATA,
-}
-"""Of every operation that writes: with whom what it makes ends."""
-
-
-def test_of_every_operation_that_makes_something_it_is_known_with_whom_that_ends():
-    writing = {
-        f"{method.upper()} {path}"
-        for path, operations in describe()["paths"].items()
-        for method in operations
-        if method in ("post", "put", "patch")
-    }
-    assert writing == set(ENDS)
-
-
 def test_every_table_of_what_gives_access_or_tells_others_stores_a_maker():
-    from lambent_server.database.cluster_schema import login_codes
-    from lambent_server.database.schema import jobs
-    from lambent_server.database.service_schema import webhooks
-
     for table in (api_keys, sessions, shares, jobs, login_codes, webhooks):
         assert {"maker_user_id", "maker_key_id"} <= set(table.c.keys()), table.name
