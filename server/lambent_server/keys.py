@@ -96,6 +96,7 @@ def create(
     longer, and ends with it. Without `maker` an operator makes it, for the person `user_id` or for nobody.
     Raises `scope_exceeded` and `expiry_exceeded`.
     """
+    audit.lock(connection, tenant)
     identifier = new_id("key")
     known = made_before(connection, tenant, key, digest, identifier)
     if known is not None:
@@ -162,6 +163,8 @@ def revoke(connection: Connection, tenant: Tenant, key_id: str) -> None:
 
     Every browser without a user is logged out: the key may have logged it in. Idempotent.
     """
+    # One at a time, as all that makes keys: else a key that one of these is just making would outlive it.
+    audit.lock(connection, tenant)
     if _require(connection, tenant, key_id)["revoked_at"] is None:
         ended = [key_id, *keys_made_by(connection, tenant, key_id)]
         working = api_keys.c.id.in_(ended) & api_keys.c.revoked_at.is_(None)
@@ -179,6 +182,7 @@ def rotate(
     Without `maker` an operator does it. Raises `key_of_another` unless `maker` is the key itself, or has made
     it: whoever replaces a key gets its secret, and so one that would not end with their own.
     """
+    audit.lock(connection, tenant)
     row = _require(connection, tenant, key_id)
     if maker is not None:
         _require_working(connection, tenant, maker)

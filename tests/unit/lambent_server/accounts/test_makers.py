@@ -1,6 +1,9 @@
 """What somebody made ends with them, and is no more than they have: keys, links, shares, subscriptions."""
 
+import threading
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +124,38 @@ def test_a_key_that_was_revoked_a_moment_ago_makes_and_replaces_nothing(api: Api
         with pytest.raises(Problem) as replaced:
             keys.rotate(connection, TENANT, made["id"], api.services.settings.data, who)
     assert {created.value.code, replaced.value.code} == {"not_authenticated"}
+
+
+@pytest.mark.parametrize("ends", ["revoked", "removed", "disabled", "deleted"])
+@pytest.mark.parametrize("makes", ["create", "rotate"])
+def test_a_key_that_is_being_made_while_an_earlier_one_ends_ends_too(api: Api, ends: str, makes: str):
+    """Its maker's maker ends in the moment in which it is made, and is not its maker."""
+    first = robot(api) if ends == "revoked" else hers(api)
+    first_id, second = id_of(api, first), api.other(make(first)["key"])
+    who = Who(tenant=TENANT, kind="key", id=id_of(api, second), scopes=ALL)
+    began = threading.Event()
+
+    def end() -> None:
+        began.set()
+        if ends == "revoked":
+            with api.services.database.write() as connection:
+                keys.revoke(connection, TENANT, first_id)
+        else:
+            operate(api, *LEAVES[ends])
+
+    with ThreadPoolExecutor(1) as pool:
+        with api.services.database.write() as connection:
+            if makes == "create":
+                made = keys.create(connection, TENANT, keys.NewKey(name="late"), maker=who)
+            else:
+                made = keys.rotate(connection, TENANT, who.id, api.services.settings.data, who)
+            ending = pool.submit(end)
+            began.wait(5.0)
+            time.sleep(0.5)
+        ending.result(30.0)
+    if ends == "removed":
+        operate(api, *PROMOTED)
+    assert not works(api.other(made.key))
 
 
 def rotate(client: TestClient, key_id: str) -> Any:
