@@ -10,6 +10,8 @@ from sqlalchemy import Connection
 
 from lambent_server import bake_rows, bundle_rows, job_counts, label_rows
 from lambent_server.accounts import quotas
+from lambent_server.accounts.makers import columns_of, maker_of
+from lambent_server.accounts.who import NOBODY, Maker
 from lambent_server.change_messages import JobChange
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import job_labels, jobs, scenes
@@ -138,7 +140,13 @@ def order_of(row: Row) -> NewJob:
 
 
 def submit_once(
-    connection: Connection, tenant: Tenant, order: NewJob, services: Services, key: str | None, digest: str
+    connection: Connection,
+    tenant: Tenant,
+    order: NewJob,
+    services: Services,
+    key: str | None,
+    digest: str,
+    maker: Maker = NOBODY,
 ) -> Row:
     """Add a job to the queue, or return the one that was submitted earlier with this key.
 
@@ -153,11 +161,16 @@ def submit_once(
     if odd is not None:
         message = f"sizes of textures are multiples of {SIZE_STEP} texels, not {order.params[odd]}"
         raise invalid("setting_invalid", f"#/params/{odd}", message)
-    return submit(connection, tenant, order, services, job_id)
+    return submit(connection, tenant, order, services, job_id, maker)
 
 
 def submit(
-    connection: Connection, tenant: Tenant, order: NewJob, services: Services, job_id: str | None = None
+    connection: Connection,
+    tenant: Tenant,
+    order: NewJob,
+    services: Services,
+    job_id: str | None = None,
+    maker: Maker = NOBODY,
 ) -> Row:
     """Add a job to the queue; raises the problem if it cannot be accepted."""
     gpus = _check_order(connection, order, services)
@@ -200,6 +213,7 @@ def submit(
         labels=order.labels,
         seed=order.seed,
         webhook=order.webhook,
+        **columns_of(maker),
     )
 
 
@@ -211,6 +225,11 @@ def check_priority(priority: int, settings: Settings) -> None:
             "one, or ask the operator (LAMBENT_MAX_PRIORITY)"
         )
         raise invalid("priority_too_high", "#/priority", message)
+
+
+def submit_again(connection: Connection, tenant: Tenant, job: Row, services: Services) -> Row:
+    """Add a job with the request of another one; its webhook stays that of whoever asked for the first."""
+    return submit(connection, tenant, order_of(job), services, maker=maker_of(job))
 
 
 def num_unfinished(connection: Connection, tenant: Tenant) -> int:

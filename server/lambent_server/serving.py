@@ -35,7 +35,7 @@ from lambent_server.database.engine import SchemaTooNewError
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
 from lambent_server.executors.chosen import ExecutorSetupError, open_executor
 from lambent_server.http.identity import issue_login_code
-from lambent_server.http.login_header import LoginHeader
+from lambent_server.http.login_header import LoginHeader, login_secret
 from lambent_server.http.proxies import Proxies
 from lambent_server.http.request import App
 from lambent_server.keys import FILE, accept_file
@@ -199,6 +199,7 @@ def _open(settings: Settings, connections: int) -> tuple[Services, FastAPI, App,
         services = open_services(settings)
         secret = shared_secret(services.database, settings, WORKER)
         accept_file(services.database, Tenant(DEFAULT_TENANT_ID), settings.data)
+        login_secret(settings)
         return services, *make_app(services, connections), secret
     except SecretError as error:
         raise ServeError(str(error)) from error

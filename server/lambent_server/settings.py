@@ -278,9 +278,10 @@ class Settings(BaseSettings):
     """Header in which a trusted proxy names who has signed in there."""
     login_organisations_header: str | None = None
     """Header in which it names the organisations, as the claim above does, separated by commas."""
+    login_secret_file: LocalPath | None = None
+    """File with the secret that this proxy sends in `X-Lambent-Login-Secret`; needed on the loopback."""
     login_create: Literal["nobody", "claimed", "everybody"] = "nobody"
-    """Who becomes a user at the first sign-in: nobody but those whom operators have added, who is claimed to
-    belong to an organisation, or everybody whom the provider or proxy vouches for."""
+    """Who becomes a user at the first sign-in: only whom operators have added, whoever is claimed, or all."""
     login_organisation: str = "default"
     """The organisation of everybody about whose organisations nothing is claimed."""
     login_role: Literal["viewer", "editor", "admin"] = "viewer"

@@ -7,6 +7,9 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection
 
+from lambent_server.accounts.makers import columns_of, maker_of, scopes_of_maker
+from lambent_server.accounts.scopes import SUBMIT
+from lambent_server.accounts.who import NOBODY, Maker
 from lambent_server.clock import new_id, now
 from lambent_server.database.people_schema import organisations
 from lambent_server.database.schema import shares
@@ -52,13 +55,15 @@ def create(
     lifetime_s: float,
     frame_ancestors: Sequence[str] = (),
     share_id: str | None = None,
+    maker: Maker = NOBODY,
 ) -> Row:
     """Add a link to a bundle of `tenant`; pages of the origins `frame_ancestors` may show it.
 
-    Raises ValueError where one of these is no origin.
+    It works while its `maker` may share. Raises ValueError where one of these is no origin.
     """
     identifier = share_id or new_id("share")
     values = {"id": identifier, "bundle_id": bundle_id, "created_at": now(), "expires_at": now() + lifetime_s}
+    values |= columns_of(maker)
     connection.execute(add(tenant, shares, frame_ancestors=joined(frame_ancestors), **values))
     return dict(find(connection, tenant, shares, identifier) or {})
 
@@ -114,12 +119,19 @@ def find_any(connection: Connection, share_id: str) -> Row | None:
         .where(shares.c.id == share_id)
     )
     row = connection.execute(statement).mappings().one_or_none()
-    return None if row is None else dict(row)
+    if row is None:
+        return None
+    scopes = scopes_of_maker(connection, Tenant(row["tenant_id"]), maker_of(row))
+    return {**row, "maker_may": SUBMIT in scopes}
 
 
 def is_active(row: Row) -> bool:
-    """Return whether a link of `find_any` works: it has not ended, and its organisation is not closed."""
-    return row["revoked_at"] is None and row["expires_at"] > now() and row["closed_at"] is None
+    """Return whether a link of `find_any` works.
+
+    It has not ended, its organisation is not closed, and whoever made it could make another one now.
+    """
+    has_ended = row["revoked_at"] is not None or row["expires_at"] <= now()
+    return not has_ended and row["closed_at"] is None and bool(row["maker_may"])
 
 
 def is_token(text: str) -> bool:

@@ -8,10 +8,13 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Select, exists, func, or_, select, update
 
+from lambent_server.accounts.makers import maker_of, scopes_of_maker
+from lambent_server.accounts.scopes import ADMIN, SUBMIT
 from lambent_server.clock import JUMP_S, now
 from lambent_server.database.engine import Database
+from lambent_server.database.schema import jobs
 from lambent_server.database.service_schema import webhook_deliveries, webhook_secrets, webhooks
-from lambent_server.database.tenancy import Tenant, across_tenants, rows
+from lambent_server.database.tenancy import Tenant, across_tenants, find, rows
 from lambent_server.settings import Settings
 from lambent_server.webhook_outbox import PENDING
 from lambent_server.webhook_places import Places
@@ -124,14 +127,21 @@ def _take(database: Database, settings: Settings, chosen: Collection[str]) -> li
 
 
 def _secrets(connection: Connection, row: Row) -> list[str]:
-    """Return what signs a delivery now: the newest secret first."""
+    """Return what signs a delivery now: the newest secret first.
+
+    Nothing for one whose subscription was deleted, or whose maker may have nothing sent any more.
+    """
     tenant = Tenant(row["tenant_id"])
+    found: Any
     if row["webhook_id"] is None:
-        statement = rows(tenant, webhook_secrets)
+        found = connection.execute(rows(tenant, webhook_secrets)).mappings().one_or_none()
+        asked, needed = find(connection, tenant, jobs, row["job_id"]), SUBMIT
     else:
-        statement = rows(tenant, webhooks).where(webhooks.c.id == row["webhook_id"])
-    found = connection.execute(statement).mappings().one_or_none()
-    if found is None:
+        found = asked = find(connection, tenant, webhooks, row["webhook_id"])
+        needed = ADMIN
+    # Of a job that has been deleted, what waits is still sent.
+    may = asked is None or needed in scopes_of_maker(connection, tenant, maker_of(asked))
+    if found is None or not may:
         return []
     overlaps = found["previous_secret"] is not None and (found["previous_until"] or 0.0) > now()
     return [found["secret"], *([found["previous_secret"]] if overlaps else [])]

@@ -58,8 +58,8 @@ class Webhook(Shown):
     events: list[EventType]
     labels: dict[str, str]
     enabled: bool
-    disabled_reason: Literal["", "asked", "gone"]
-    """`gone` if the receiver answered 410."""
+    disabled_reason: Literal["", "asked", "gone", "maker_left"]
+    """`gone`: the receiver answered 410. `maker_left`: whoever made it has left, or their key was revoked."""
     created_at: str
 
 

@@ -6,6 +6,8 @@ from typing import Any
 
 from sqlalchemy import Connection
 
+from lambent_server.accounts.makers import maker_of, scopes_of_maker
+from lambent_server.accounts.scopes import ADMIN, SUBMIT
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.service_schema import webhook_deliveries, webhook_secrets, webhooks
 from lambent_server.database.tenancy import Tenant, add, add_if_absent, rows
@@ -27,9 +29,12 @@ def tell(connection: Connection, job: Row, state: str, seq: int) -> None:
     receivers: list[tuple[str | None, str]] = [
         (row["id"], row["url"])
         for row in connection.execute(working).mappings()
-        if event in row["events"] and row["labels"].items() <= job["labels"].items()
+        if event in row["events"]
+        and row["labels"].items() <= job["labels"].items()
+        and ADMIN in scopes_of_maker(connection, tenant, maker_of(row))
     ]
-    if job["webhook"] and event in ENDS:
+    by = maker_of(job)
+    if job["webhook"] and event in ENDS and SUBMIT in scopes_of_maker(connection, tenant, by):
         secret_of_jobs(connection, tenant)
         receivers.append((None, job["webhook"]))
     if not receivers:

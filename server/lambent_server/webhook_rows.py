@@ -6,6 +6,8 @@ from typing import Any
 from sqlalchemy import Connection, func
 
 from lambent_server import label_rows
+from lambent_server.accounts.makers import columns_of
+from lambent_server.accounts.who import NOBODY, Maker
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.service_schema import webhook_deliveries, webhook_secrets, webhooks
 from lambent_server.database.tenancy import Tenant, add, change, find, remove, rows
@@ -87,8 +89,9 @@ def create(
     order: NewWebhook,
     settings: Settings,
     webhook_id: str | None = None,
+    maker: Maker = NOBODY,
 ) -> Row:
-    """Add a subscription."""
+    """Add a subscription, which ends with its maker."""
     check_url(order.url, settings, "#/url")
     in_use = connection.execute(rows(tenant, webhooks, func.count())).scalar_one()
     if in_use >= settings.max_webhooks:
@@ -100,13 +103,23 @@ def create(
         )
     identifier = webhook_id or new_id("webhook")
     values = order.model_dump()
-    common = {"secret": new_signing_secret(), "created_at": now(), "disabled_reason": ""}
+    common = {"secret": new_signing_secret(), "created_at": now(), "disabled_reason": "", **columns_of(maker)}
     connection.execute(add(tenant, webhooks, id=identifier, **values, **common))
     return require(connection, tenant, identifier)
 
 
-def update(connection: Connection, tenant: Tenant, row: Row, order: WebhookChange, settings: Settings) -> Row:
-    """Change a subscription; what waits to be delivered goes to the new address."""
+def update(
+    connection: Connection,
+    tenant: Tenant,
+    row: Row,
+    order: WebhookChange,
+    settings: Settings,
+    maker: Maker = NOBODY,
+) -> Row:
+    """Change a subscription; what waits to be delivered goes to the new address.
+
+    Whoever gives it another address, or enables it, is its maker from then on: it ends with them.
+    """
     values = order.model_dump(exclude_none=True, exclude={"enabled", "labels"})
     if order.labels is not None:
         values["labels"] = label_rows.merged(row["labels"], order.labels)
@@ -117,6 +130,8 @@ def update(connection: Connection, tenant: Tenant, row: Row, order: WebhookChang
             webhook_deliveries.c.webhook_id == row["id"], waiting
         )
         connection.execute(statement.values(url=order.url, host=host_of(order.url)))
+    if order.url is not None or order.enabled is True:
+        values |= columns_of(maker)
     if order.enabled is True:
         values |= {"disabled_at": None, "disabled_reason": ""}
     if values:

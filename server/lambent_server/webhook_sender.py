@@ -121,7 +121,7 @@ class Sender:
     async def attempt(self, client: httpx2.AsyncClient, row: dict[str, Any]) -> Outcome:
         """Make one attempt and return its outcome; whatever goes wrong is one."""
         if not row["secrets"]:
-            # Its subscription was deleted a moment ago; nothing is sent without a signature.
+            # Its subscription was deleted, or its maker has left; nothing is sent without a signature.
             return Outcome(error="secret_missing")
         began = time.monotonic()
         status, error, retry_after_s = None, "timeout", 0.0

@@ -252,13 +252,16 @@ def test_a_write_of_a_user_needs_the_header_against_other_sites(provider: Runnin
     assert (answer.status_code, answer.json()["code"]) == (403, "csrf")
 
 
-PROXIED = {"x-forwarded-email": "fay@example.com"}
+SECRET = "of the proxy of these tests"
+PROXIED = {"x-forwarded-email": "fay@example.com", "x-lambent-login-secret": SECRET}
 
 
 def proxied(folder: Path, trusted: str, **settings: Any) -> LiveServer:
+    (folder / "login.secret").write_text(SECRET)
     return LiveServer(
         folder / "data",
         login_header="X-Forwarded-Email",
+        login_secret_file=str(folder / "login.secret"),
         trusted_proxies=trusted,
         login_create="everybody",
         login_role="editor",
@@ -269,7 +272,9 @@ def proxied(folder: Path, trusted: str, **settings: Any) -> LiveServer:
 def test_a_trusted_proxy_names_who_has_signed_in(tmp_path: Path):
     with proxied(tmp_path, "127.0.0.1") as server, Browser(server) as browser:
         assert browser.get("/v1/sign-in").status_code == 404, "nobody is named"
-        twice = [("x-forwarded-email", "fay@example.com"), ("x-forwarded-email", "root@example.com")]
+        without = {"x-forwarded-email": "fay@example.com"}
+        assert browser.get("/v1/sign-in", headers=without).status_code == 404, "any process has this address"
+        twice = [*PROXIED.items(), ("x-forwarded-email", "root@example.com")]
         assert browser.get("/v1/sign-in", headers=twice).status_code == 404, "one of the two is a lie"
         answer = browser.get("/v1/sign-in", headers=PROXIED)
         assert answer.headers["location"] == "/"
@@ -299,7 +304,7 @@ def test_a_trusted_proxy_names_organisations_or_says_that_there_are_none(tmp_pat
                 assert answer.headers["location"] == "/#sign-in=sign_in_refused"
                 assert browser.me() is None, "who has lost the last group is out"
         with Browser(server) as stranger:
-            answer = stranger.get("/v1/sign-in", headers={"x-forwarded-email": "gus@example.com"})
+            answer = stranger.get("/v1/sign-in", headers={**PROXIED, "x-forwarded-email": "gus@example.com"})
             assert answer.headers["location"] == "/#sign-in=sign_in_refused"
 
 

@@ -215,7 +215,7 @@ class Webhook(_Message):
     labels: Mapping[str, str] = field(default_factory=dict)
     enabled: bool = True
     disabled_reason: str = ""
-    """"gone" if the receiver answered 410, "asked" if somebody disabled it."""
+    """Why: "gone", the receiver answered 410; "asked", by a request; "maker_left", its maker has left."""
     created_at: str = ""
     secret: str = ""
 

@@ -5,6 +5,8 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Table, delete, select, update
 
+from lambent_server.accounts import audit
+from lambent_server.accounts.makers import end_what_was_made
 from lambent_server.accounts.scopes import ROLES, ScopeName, of_role
 from lambent_server.clock import new_id, now
 from lambent_server.database.cluster_schema import login_codes
@@ -81,12 +83,15 @@ def join(connection: Connection, tenant: Tenant, user_id: str, role: str, source
 
 
 def leave(connection: Connection, tenant: Tenant, user_id: str) -> bool:
-    """Let a user no longer belong to an organisation; keys, sessions and login links of theirs there end."""
+    """Let a user no longer belong to an organisation; what they made there to get in, or out, ends."""
+    # Before any row is locked, as whatever changes keys does it: a key of theirs may be making another one.
+    audit.lock(connection, tenant)
     gone = connection.execute(remove(tenant, members).where(members.c.user_id == user_id)).rowcount > 0
     connection.execute(remove(tenant, sessions).where(_of_user(sessions, user_id)))
     connection.execute(remove(tenant, login_codes).where(_of_user(login_codes, user_id)))
     mine = (api_keys.c.user_id == user_id) & api_keys.c.revoked_at.is_(None)
     connection.execute(change(tenant, api_keys).where(mine).values(revoked_at=now()))
+    end_what_was_made(connection, user_id, tenant)
     return gone
 
 
@@ -130,8 +135,17 @@ def _of_user(table: Table, user_id: str) -> ColumnElement[bool]:
     return made | (table.c.user_id == user_id) if "user_id" in table.c else made
 
 
+def _lock_organisations(connection: Connection, user_id: str) -> None:
+    """Let nobody change anything in the organisations of a user before this has ended."""
+    own = select(members.c.tenant_id).where(members.c.user_id == user_id).order_by(members.c.tenant_id)
+    for tenant_id in connection.execute(own).scalars().all():
+        audit.lock(connection, Tenant(tenant_id))
+
+
 def revoke_keys(connection: Connection, user_id: str) -> None:
-    """Let no key of a user work any more."""
+    """Let no key of a user work any more, nor share links and subscriptions that they made."""
+    _lock_organisations(connection, user_id)
+    end_what_was_made(connection, user_id)
     mine = (api_keys.c.user_id == user_id) & api_keys.c.revoked_at.is_(None)
     connection.execute(update(api_keys).where(mine).values(revoked_at=now()))
 
@@ -145,8 +159,13 @@ def require_member(connection: Connection, tenant: Tenant, name: str) -> str:
 
 
 def forget(connection: Connection, user_id: str) -> None:
-    """Delete a user with sessions, memberships and keys. What the user made stays with its organisation."""
+    """Delete a user with sessions, memberships and keys; share links and subscriptions of theirs end.
+
+    What they uploaded and trained stays with its organisation.
+    """
+    _lock_organisations(connection, user_id)
     end_sessions(connection, user_id)
+    end_what_was_made(connection, user_id)
     connection.execute(delete(members).where(members.c.user_id == user_id))
     connection.execute(delete(api_keys).where(api_keys.c.user_id == user_id))
     connection.execute(delete(users).where(users.c.id == user_id))

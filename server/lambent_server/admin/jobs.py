@@ -151,7 +151,7 @@ def requeue(
 
     def act(connection: "Connection", job: dict[str, Any], services: "Services") -> None:
         if job["order_id"] is None:
-            made = job_queries.submit(connection, owner(job), job_queries.order_of(job), services)
+            made = job_queries.submit_again(connection, owner(job), job, services)
         else:
             made = render_rows.queue_again(connection, owner(job), job, services)
         audit.record(connection, operator(owner(job)), "jobs requeue", job["id"], details={"job": made["id"]})

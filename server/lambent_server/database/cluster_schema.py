@@ -4,6 +4,7 @@ from sqlalchemy import JSON, Column, Double, Index, Integer, LargeBinary, Primar
 
 from lambent_server.database.columns import (
     count_column,
+    maker_columns,
     metadata,
     optional_text_column,
     text_column,
@@ -62,9 +63,9 @@ login_codes = Table(
     text_column("tenant_id"),
     time_column("created_at"),
     time_column("expires_at"),
-    # The user or the key that made the link; neither: the server itself
-    optional_text_column("maker_user_id"),
-    optional_text_column("maker_key_id"),
+    *maker_columns(),
+    # Hash of the token of the session in which it was made; null: in none
+    optional_text_column("maker_session"),
     Index(None, "expires_at"),
 )
 

@@ -66,6 +66,11 @@ def next_number(connection: Connection, column: Column[int]) -> ColumnElement[in
     return select(func.coalesce(func.max(column), 0) + 1).scalar_subquery()
 
 
+def maker_columns() -> tuple[Column[str | None], Column[str | None]]:
+    """Return the columns of the user or the key that made a row; neither: the server, or an operator."""
+    return optional_text_column("maker_user_id"), optional_text_column("maker_key_id")
+
+
 def clock_time(connection: Connection) -> ColumnElement[float]:
     """Return the expression of the time now (Unix seconds), by the one clock that all servers share."""
     if connection.dialect.name == "postgresql":

@@ -19,6 +19,7 @@ from lambent_server.database import cluster_schema, people_schema, service_schem
 from lambent_server.database.columns import (
     count_column,
     id_column,
+    maker_columns,
     metadata,
     optional_text_column,
     optional_time_column,
@@ -53,6 +54,7 @@ api_keys = Table(
     _optional_text("scopes"),
     # Whose key it is; null: nobody's in particular
     _optional_text("user_id"),
+    *maker_columns(),
     UniqueConstraint("key_sha256"),
 )
 
@@ -65,9 +67,9 @@ sessions = Table(
     _time("expires_at"),
     # Null: a one-time link was opened
     _optional_text("user_id"),
-    # Who made that link; neither: the server itself
-    _optional_text("maker_user_id"),
-    _optional_text("maker_key_id"),
+    *maker_columns(),
+    # Hash of the token of the session in which that link was made; null: in none
+    _optional_text("maker_session"),
     Index(None, "expires_at"),
 )
 
@@ -166,6 +168,7 @@ jobs = Table(
     _optional_text("preview_sha256"),
     # Where its end is told.
     _optional_text("webhook"),
+    *maker_columns(),
     # What counts against the GPU minutes of its tenant until it has ended, at least.
     _optional_time("gpu_s_reserved"),
     Index(None, "tenant_id", "id"),
@@ -337,6 +340,7 @@ shares = Table(
     _optional_time("revoked_at"),
     # Origins whose pages may show the bundle, separated by spaces; none if it is null.
     _optional_text("frame_ancestors"),
+    *maker_columns(),
     Index(None, "bundle_id"),
     Index(None, "expires_at"),
 )

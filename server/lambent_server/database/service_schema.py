@@ -5,6 +5,7 @@ from sqlalchemy import JSON, Column, Double, Index, PrimaryKeyConstraint, Table,
 from lambent_server.database.columns import (
     count_column,
     id_column,
+    maker_columns,
     metadata,
     optional_text_column,
     optional_time_column,
@@ -30,8 +31,9 @@ webhooks = Table(
     optional_time_column("previous_until"),
     time_column("created_at"),
     optional_time_column("disabled_at"),
-    # "gone" if the receiver said so, "asked" if a person did
+    # "gone" if the receiver said so, "asked" if a person did, "maker_left" if whoever made it has left
     text_column("disabled_reason"),
+    *maker_columns(),
     Index(None, "tenant_id", "id"),
 )
 

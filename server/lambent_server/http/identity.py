@@ -5,17 +5,26 @@ from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 
-from sqlalchemy import Connection, Select, Table, delete
+from sqlalchemy import Connection, delete
 
-from lambent_server.accounts.scopes import ADMIN, ALL, ScopeName, of_role, parsed
+from lambent_server.accounts.makers import (
+    columns_of,
+    keys_with_people,
+    maker_of,
+    scopes_of_key,
+    scopes_of_maker,
+    with_organisation,
+    with_user,
+)
+from lambent_server.accounts.scopes import ADMIN, of_role
 from lambent_server.accounts.sign_in import PROXY
 from lambent_server.accounts.who import NOBODY, Maker, Who
 from lambent_server.clock import now
 from lambent_server.database.cluster_schema import login_codes
 from lambent_server.database.engine import Database
-from lambent_server.database.people_schema import members, organisations, users
+from lambent_server.database.people_schema import members, users
 from lambent_server.database.schema import api_keys, sessions
-from lambent_server.database.tenancy import Tenant, across_tenants, add, remove, rows
+from lambent_server.database.tenancy import Tenant, across_tenants, add, remove
 from lambent_server.secrets import sha256_text
 from lambent_server.services import Services
 from lambent_server.shares import Row, signed
@@ -31,19 +40,29 @@ class Redeemed:
     made_at: float
     """Unix seconds."""
     maker: Maker
+    session: str | None
+    """Hash of the token of the session in which the link was made, which has not ended."""
+    until: float | None
+    """When that session ends, Unix seconds."""
 
 
 def issue_login_code(
-    connection: Connection, tenant: Tenant, lifetime_s: float, maker: Maker = NOBODY
+    connection: Connection,
+    tenant: Tenant,
+    lifetime_s: float,
+    maker: Maker = NOBODY,
+    session: str | None = None,
 ) -> tuple[str, float]:
     """Return the code of a new one-time link and its expiry time (Unix seconds).
 
-    Only its hash is stored, and any server on the database redeems it.
+    Only its hash is stored, and any server on the database redeems it. `session` is the token of the session
+    in which it is made: what the link opens ends with that.
     """
     code, at = secrets.token_urlsafe(32), now()
     values = {"code_sha256": sha256_text(code), "created_at": at, "expires_at": at + lifetime_s}
     connection.execute(delete(login_codes).where(login_codes.c.expires_at < at))
-    connection.execute(add(tenant, login_codes, **values, **_columns(maker)))
+    within = {"maker_session": None if session is None else sha256_text(session)}
+    connection.execute(add(tenant, login_codes, **values, **columns_of(maker), **within))
     return code, at + lifetime_s
 
 
@@ -53,7 +72,21 @@ def redeem_login_code(connection: Connection, code: str) -> Redeemed | None:
     row = connection.execute(mine.returning(login_codes)).mappings().one_or_none()
     if row is None or row["expires_at"] <= now():
         return None
-    return Redeemed(tenant=Tenant(row["tenant_id"]), made_at=row["created_at"], maker=_maker(row))
+    until = None
+    if row["maker_session"] is not None:
+        parent = across_tenants(sessions).where(sessions.c.token_sha256 == row["maker_session"])
+        # Locked: a logout now would not find the session that is opened with this link.
+        session = connection.execute(parent.with_for_update()).mappings().one_or_none()
+        until = None if session is None else session["expires_at"]
+        if until is None or until <= now():
+            return None
+    return Redeemed(
+        tenant=Tenant(row["tenant_id"]),
+        made_at=row["created_at"],
+        maker=maker_of(row),
+        session=row["maker_session"],
+        until=until,
+    )
 
 
 def open_session(
@@ -62,10 +95,11 @@ def open_session(
     lifetime_s: float,
     user_id: str | None = None,
     maker: Maker = NOBODY,
+    within: str | None = None,
 ) -> str:
     """Return the token of a new browser session, of a user who has signed in or of a one-time link.
 
-    `maker` is who made that link.
+    `maker` is who made that link, and `within` the hash of the token of the session in which they did.
     """
     token = secrets.token_urlsafe(32)
     connection.execute(
@@ -76,45 +110,28 @@ def open_session(
             created_at=now(),
             expires_at=now() + lifetime_s,
             user_id=user_id,
-            **_columns(maker),
+            maker_session=within,
+            **columns_of(maker),
         )
     )
     return token
 
 
-def _columns(maker: Maker) -> dict[str, str | None]:
-    return {"maker_user_id": maker.user_id, "maker_key_id": maker.key_id}
-
-
-def _maker(row: Any) -> Maker:
-    return Maker(user_id=row["maker_user_id"], key_id=row["maker_key_id"])
-
-
-def is_trusted(connection: Connection, tenant: Tenant, maker: Maker) -> bool:
-    """Return whether a one-time link holds: whoever made it could make another one now.
-
-    That of the server itself, and those from before makers were stored, always do.
-    """
-    if maker.key_id is not None:
-        mine = (api_keys.c.id == maker.key_id) & (api_keys.c.tenant_id == tenant.id)
-        row: Any = connection.execute(_keys().where(mine)).mappings().one_or_none()
-        return row is not None and ADMIN in (_scopes_of_key(row) or ())
-    if maker.user_id is not None:
-        roles = (
-            rows(tenant, members, members.c.role)
-            .join(users, users.c.id == members.c.user_id)
-            .where(members.c.user_id == maker.user_id, users.c.disabled_at.is_(None))
-        )
-        role = connection.execute(roles).scalar_one_or_none()
-        return role is not None and ADMIN in of_role(role)
-    return True
-
-
 def end_session(connection: Connection, tenant: Tenant, token: str) -> float | None:
-    """End a browser session and return until when it was valid; None if it has ended already."""
+    """End a browser session and return until when it was valid; None if it has ended already.
+
+    The one-time links that were made in it end too, with the sessions that they opened, and so on.
+    """
     mine = sessions.c.token_sha256 == sha256_text(token)
     statement = remove(tenant, sessions).where(mine).returning(sessions.c.expires_at)
     until: float | None = connection.execute(statement).scalar_one_or_none()
+    ended = [] if until is None else [sha256_text(token)]
+    while ended:
+        connection.execute(delete(login_codes).where(login_codes.c.maker_session.in_(ended)))
+        opened = (
+            delete(sessions).where(sessions.c.maker_session.in_(ended)).returning(sessions.c.token_sha256)
+        )
+        ended = list(connection.execute(opened).scalars())
     return until
 
 
@@ -133,31 +150,13 @@ def who_of_key(services: Services, key: str) -> Who | None:
     if not key:
         return None
     with services.database.read() as connection:
-        statement = _keys().where(api_keys.c.key_sha256 == sha256_text(key))
+        statement = keys_with_people().where(api_keys.c.key_sha256 == sha256_text(key))
         row: Any = connection.execute(statement).mappings().one_or_none()
-    scopes = None if row is None else _scopes_of_key(row)
+    scopes = None if row is None else scopes_of_key(row)
     if scopes is None:
         return None
     services.key_uses[row["id"]] = now()
     return Who(tenant=Tenant(row["tenant_id"]), kind="key", id=row["id"], scopes=scopes)
-
-
-def _keys() -> Select[Any]:
-    """Return a SELECT of keys, with their organisations and with those whose keys they are."""
-    return _with_user(_with_organisation(api_keys, members.c.role, users.c.disabled_at), api_keys)
-
-
-def _scopes_of_key(row: Any) -> frozenset[ScopeName] | None:
-    """Return what a key may do now: of a person's key, no more than the person; None if it is invalid."""
-    ended = row["revoked_at"] is not None or (row["expires_at"] or now() + 1) < now()
-    if ended or row["closed_at"] is not None:
-        return None
-    scopes = parsed(row["scopes"])
-    if row["user_id"] is None:
-        return scopes
-    if row["disabled_at"] is not None or row["role"] is None:
-        return None
-    return scopes & of_role(row["role"])
 
 
 def who_of_session(database: Database, token: str, login_name: str | None = None) -> Who | None:
@@ -168,40 +167,27 @@ def who_of_session(database: Database, token: str, login_name: str | None = None
     organisation is signed out of it at once, and so is every browser that opened a link of theirs.
     """
     columns = (members.c.role, users.c.disabled_at, users.c.issuer, users.c.subject)
-    statement = _with_user(_with_organisation(sessions, *columns), sessions)
+    statement = with_user(with_organisation(sessions, *columns), sessions)
     with database.read() as connection:
         mine = sessions.c.token_sha256 == sha256_text(token)
         row: Any = connection.execute(statement.where(mine)).mappings().one_or_none()
         by_link = row is not None and row["user_id"] is None
-        trusted = not by_link or is_trusted(connection, Tenant(row["tenant_id"]), _maker(row))
+        given = (
+            scopes_of_maker(connection, Tenant(row["tenant_id"]), maker_of(row)) if by_link else frozenset()
+        )
     if row is None or row["expires_at"] <= now() or row["closed_at"] is not None:
         return None
     tenant = Tenant(row["tenant_id"])
-    if not trusted:
-        return None
     if by_link:
-        return Who(tenant=tenant, kind="session", id="", scopes=ALL, link_maker=_maker(row))
+        # Only who may make such a link has ADMIN; without, its maker has lost that, or has left.
+        if ADMIN not in given:
+            return None
+        return Who(tenant=tenant, kind="session", id="", scopes=given, link_maker=maker_of(row))
     if row["disabled_at"] is not None or row["role"] is None:
         return None
     if row["issuer"] == PROXY and row["subject"] != login_name:
         return None
     return Who(tenant=tenant, kind="user", id=row["user_id"], scopes=of_role(row["role"]))
-
-
-def _with_organisation(table: Table, *columns: Any) -> Select[Any]:
-    """Return a SELECT of rows of a table, with when their organisation was closed.
-
-    Rows of an organisation that does not exist (any more) are none of them.
-    """
-    organisation = organisations.c.tenant_id == table.c.tenant_id
-    statement = across_tenants(table, *table.c, organisations.c.closed_at, *columns)
-    return statement.select_from(table).join(organisations, organisation)
-
-
-def _with_user(statement: Select[Any], table: Table) -> Select[Any]:
-    """Return a SELECT with the user of each row and the user's membership, as far as there are these."""
-    member = (members.c.user_id == table.c.user_id) & (members.c.tenant_id == table.c.tenant_id)
-    return statement.outerjoin(users, users.c.id == table.c.user_id).outerjoin(members, member)
 
 
 def share_of_token(database: Database, secret: str, token: str, bundle_id: str) -> Row | None:

@@ -1,11 +1,13 @@
 """The header in which a proxy names who has signed in there; it is believed from trusted proxies only."""
 
+import hmac
 import ipaddress
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
 
 import structlog
 
+from lambent_server.secrets import SecretError
 from lambent_server.settings import Settings
 
 log = structlog.get_logger()
@@ -17,6 +19,47 @@ LOGIN_NAME = "login_name"
 LOGIN_ORGANISATIONS = "login_organisations"
 """Names in the state of a request; nothing else sets them."""
 MAX_NAME = 200
+_LOOPBACK = tuple(map(ipaddress.ip_network, ("127.0.0.0/8", "::1/128", "::ffff:127.0.0.0/104")))
+SECRET_HEADER = b"x-lambent-login-secret"
+MIN_SECRET = 20
+"""Characters of a secret."""
+
+
+def _is_local(network: str) -> bool:
+    """Return whether addresses of the loopback are among those of a network."""
+    known: Any = ipaddress.ip_network(network)
+    return any(known.version == each.version and known.overlaps(each) for each in _LOOPBACK)
+
+
+def login_secret(settings: Settings) -> bytes | None:
+    """Return the secret by which the proxy that names people is known; None if its address is enough.
+
+    Raises SecretError for a file that cannot be read, or holds no secret, and without one where an address of
+    the loopback is trusted.
+    """
+    path = settings.login_secret_file
+    if path is None:
+        local = [each for each in settings.trusted_proxies if _is_local(each)]
+        if settings.login_header is None or not local:
+            return None
+        raise SecretError(
+            f"serve.login_secret_missing: LAMBENT_LOGIN_HEADER counts from {local[0]}, and every process "
+            "of this machine can have that address; write a secret (`openssl rand -hex 32`) into a file that "
+            "only the server and the proxy can read, name it in LAMBENT_LOGIN_SECRET_FILE, and let the proxy "
+            "send it in X-Lambent-Login-Secret"
+        )
+    try:
+        secret = path.read_text(encoding="ascii").strip()
+    except OSError as error:
+        raise SecretError(f"serve.login_secret_invalid: {path} cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError:
+        secret = ""
+    if len(secret) < MIN_SECRET or not secret.isprintable():
+        raise SecretError(
+            f"serve.login_secret_invalid: {path} must hold a line of at least {MIN_SECRET} ASCII characters, "
+            "such as `openssl rand -hex 32` prints"
+        )
+    return secret.encode()
 
 
 class LoginHeader:
@@ -26,11 +69,12 @@ class LoginHeader:
         self._app = app
         self._networks = [ipaddress.ip_network(each) for each in settings.trusted_proxies]
         given = {LOGIN_NAME: settings.login_header, LOGIN_ORGANISATIONS: settings.login_organisations_header}
+        self._secret = login_secret(settings)
         self._names = {key: name.lower().encode() for key, name in given.items() if name}
 
     async def __call__(self, scope: Scope, receive: Any, send: Any) -> None:
         """Answer one request."""
-        if scope["type"] == "http" and LOGIN_NAME in self._names and self._trusts(scope.get("client")):
+        if scope["type"] == "http" and LOGIN_NAME in self._names and self._trusts(scope):
             state = scope.setdefault("state", {})
             for key, name in self._names.items():
                 values = [value for header, value in scope["headers"] if header.lower() == name]
@@ -43,10 +87,20 @@ class LoginHeader:
                     state[key] = text
         await self._app(scope, receive, send)
 
-    def _trusts(self, peer: Any) -> bool:
+    def _trusts(self, scope: Scope) -> bool:
+        """Return whether a request is the proxy's own: from its address, with the secret if there is one."""
         try:
-            address = ipaddress.ip_address(peer[0])
-        except (TypeError, ValueError):
+            address = ipaddress.ip_address(scope["client"][0])
+        except (KeyError, TypeError, ValueError):
             return False
         address = getattr(address, "ipv4_mapped", None) or address
-        return any(address in network for network in self._networks)
+        return any(address in network for network in self._networks) and self._knows_secret(scope)
+
+    def _knows_secret(self, scope: Scope) -> bool:
+        if self._secret is None:
+            return True
+        given = [value.strip() for header, value in scope["headers"] if header.lower() == SECRET_HEADER]
+        knows = len(given) == 1 and hmac.compare_digest(given[0], self._secret)
+        if not knows and any(header.lower() == self._names[LOGIN_NAME] for header, _ in scope["headers"]):
+            log.warning("login_secret_wrong", header=SECRET_HEADER.decode(), sent=len(given))
+        return knows

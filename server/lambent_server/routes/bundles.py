@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from lambent_server import bundle_rows, removals, shares
+from lambent_server import bundle_rows, keys, removals, shares
 from lambent_server.accounts import audit
 from lambent_server.bundle_messages import (
     BundleDetail,
@@ -122,8 +122,12 @@ def create_share(
         known = made_before(connection, tenant, key, digest, identifier)
         if known is not None:
             return _show(request, shares.require(connection, tenant, known))
-        order = (body.expires_in_s, body.frame_ancestors, identifier)
-        made = shares.create(connection, tenant, bundle_id, *order)
+        lifetime_s = body.expires_in_s
+        if (until := keys.end_of(connection, who)) is not None:
+            # A link lasts no longer than the key that makes it.
+            lifetime_s = min(lifetime_s, until - now())
+        order = (lifetime_s, body.frame_ancestors, identifier)
+        made = shares.create(connection, tenant, bundle_id, *order, maker=who.maker)
         audit.record(connection, who, "create_share", bundle_id, details={"share": identifier})
         return _show(request, made)
 

@@ -33,7 +33,7 @@ from lambent_server.messages import (
 )
 from lambent_server.pagination import FilePageFilter, LabelFilter, LongPageFilter, select_ordered
 from lambent_server.problems import conflict
-from lambent_server.routes.common import Id, ServicesOf, TenantOf, WhoOf, problems
+from lambent_server.routes.common import Id, ServicesOf, TenantOf, WhoOf, problems, require_key
 from lambent_server.routes.resources import IdempotencyKey, IfMatch, ResourceRoute, digest_of, require_match
 from lambent_server.services import Services
 
@@ -67,15 +67,23 @@ class EventFilter(LongPageFilter):
 
 @router.post("/v1/jobs", status_code=202, responses=problems(400, 404, 409, 413, 422, 429, 507))
 def submit_job(
-    services: ServicesOf, tenant: TenantOf, who: WhoOf, body: NewJob, key: IdempotencyKey = None
+    services: ServicesOf,
+    tenant: TenantOf,
+    who: WhoOf,
+    request: Request,
+    body: NewJob,
+    key: IdempotencyKey = None,
 ) -> Job:
     """Queue a job. After the response 202 the job is never lost."""
     services.require_disk()
+    if body.webhook is not None:
+        # It outlasts the session of the browser, as a subscription does.
+        require_key(request, "a webhook of a job")
     # As before there were webhooks: keys hold across an upgrade.
     unset = {"webhook"} if body.webhook is None else set()
     digest = hashlib.sha256(body.model_dump_json(exclude=unset).encode()).hexdigest()
     with services.database.write() as connection:
-        job = job_queries.submit_once(connection, tenant, body, services, key, digest)
+        job = job_queries.submit_once(connection, tenant, body, services, key, digest, who.maker)
         shown = job_queries.show(connection, tenant, job)
         audit.record(connection, who, "submit_job", shown.id)
     services.wakeups.signal()
@@ -199,7 +207,7 @@ def retry_job(
                 "job_not_ended", f"job {job_id} is {job['state']}; only failed and cancelled jobs can"
             )
         if job["order_id"] is None:
-            fresh = job_queries.submit(connection, tenant, job_queries.order_of(job), services)
+            fresh = job_queries.submit_again(connection, tenant, job, services)
         else:
             fresh = render_rows.queue_again(connection, tenant, job, services)
         point_to(connection, tenant, key, fresh["id"])

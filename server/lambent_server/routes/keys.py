@@ -27,10 +27,13 @@ def create_key(
     body: NewKey,
     key: IdempotencyKey = None,
 ) -> CreatedKey:
-    """Create a key; only this response contains its secret."""
+    """Create a key that may do no more, and is valid no longer, than the one that makes it.
+
+    Only this response contains its secret.
+    """
     require_key(request, _WHAT)
     with services.database.write() as connection:
-        made = keys.create(connection, tenant, body, key, digest_of("key", body))
+        made = keys.create(connection, tenant, body, key, digest_of("key", body), maker=who)
         audit.record(connection, who, "create_key", made.id, details={"scopes": list(made.scopes)})
         return made
 
@@ -48,7 +51,7 @@ def list_keys(
 
 @router.delete("/v1/keys/{key_id:id}", status_code=204, response_class=Response, responses=problems(403, 404))
 def revoke_key(services: ServicesOf, tenant: TenantOf, who: WhoOf, request: Request, key_id: Id) -> Response:
-    """Revoke a key permanently, and log out every browser."""
+    """Revoke a key permanently, with all that it has made, and log out every browser."""
     require_key(request, _WHAT)
     with services.database.write() as connection:
         keys.revoke(connection, tenant, key_id)
@@ -60,9 +63,9 @@ def revoke_key(services: ServicesOf, tenant: TenantOf, who: WhoOf, request: Requ
 def rotate_key(
     services: ServicesOf, tenant: TenantOf, who: WhoOf, request: Request, key_id: Id
 ) -> CreatedKey:
-    """Replace this key with a new one; it is revoked at once."""
+    """Replace this key with a new one; it is revoked at once, with the keys that it made."""
     require_key(request, _WHAT)
     with services.database.write() as connection:
-        made = keys.rotate(connection, tenant, key_id, services.settings.data)
+        made = keys.rotate(connection, tenant, key_id, services.settings.data, who)
         audit.record(connection, who, "rotate_key", key_id, details={"key": made.id})
         return made

@@ -53,7 +53,7 @@ def create_webhook(
     with services.database.write() as connection:
         known = made_before(connection, tenant, key, digest_of("webhook", body), identifier)
         if known is None:
-            row = webhook_rows.create(connection, tenant, body, services.settings, identifier)
+            row = webhook_rows.create(connection, tenant, body, services.settings, identifier, who.maker)
             audit.record(connection, who, "create_webhook", identifier)
         else:
             row = webhook_rows.require(connection, tenant, known)
@@ -92,7 +92,7 @@ def change_webhook(
     with services.database.write() as connection:
         row = webhook_rows.require(connection, tenant, webhook_id, lock=True)
         require_match(if_match, webhook_rows.show(row))
-        changed = webhook_rows.update(connection, tenant, row, body, services.settings)
+        changed = webhook_rows.update(connection, tenant, row, body, services.settings, who.maker)
         audit.record(connection, who, "change_webhook", webhook_id)
         return webhook_rows.show(changed)
 

@@ -56,7 +56,7 @@ def test_a_key_ends_by_itself_where_that_was_ordered(api: Api, monkeypatch: pyte
     assert works(api, made["key"])
     import time
 
-    monkeypatch.setattr("lambent_server.http.identity.now", lambda: time.time() + 61)
+    monkeypatch.setattr("lambent_server.accounts.makers.now", lambda: time.time() + 61)
     assert not works(api, made["key"])
 
 
@@ -131,7 +131,8 @@ def test_rotating_the_key_of_the_file_writes_the_file(api: Api):
     old = accept(api)
     listed = expect(api.get("/v1/keys"), 200)["items"]
     (mine,) = (row for row in listed if row["name"].startswith(FILE))
-    fresh = expect(api.post(f"/v1/keys/{mine['id']}:rotate"), 201)["key"]
+    expect_problem(api.post(f"/v1/keys/{mine['id']}:rotate"), 403, "key_of_another")
+    fresh = expect(api.other(old).post(f"/v1/keys/{mine['id']}:rotate"), 201)["key"]
     assert (api.services.settings.data / FILE).read_text().strip() == fresh
     assert (api.services.settings.data / FILE).stat().st_mode & 0o777 == 0o600
     assert works(api, fresh)

@@ -296,6 +296,8 @@ export interface components {
             key: string | null;
             /** Last Used At */
             last_used_at: string | null;
+            /** Made By */
+            made_by: string | null;
             /** Name */
             name: string;
             /** Revoked At */
@@ -316,7 +318,7 @@ export interface components {
              * Disabled Reason
              * @enum {string}
              */
-            disabled_reason: "" | "asked" | "gone";
+            disabled_reason: "" | "asked" | "gone" | "maker_left";
             /** Enabled */
             enabled: boolean;
             /** Events */
@@ -647,6 +649,8 @@ export interface components {
             id: string;
             /** Last Used At */
             last_used_at: string | null;
+            /** Made By */
+            made_by: string | null;
             /** Name */
             name: string;
             /** Revoked At */
@@ -1656,7 +1660,7 @@ export interface components {
              * Disabled Reason
              * @enum {string}
              */
-            disabled_reason: "" | "asked" | "gone";
+            disabled_reason: "" | "asked" | "gone" | "maker_left";
             /** Enabled */
             enabled: boolean;
             /** Events */

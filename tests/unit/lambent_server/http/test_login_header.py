@@ -4,7 +4,9 @@ import asyncio
 from pathlib import Path
 from typing import Any
 
-from lambent_server.http.login_header import LOGIN_NAME, LOGIN_ORGANISATIONS, LoginHeader
+import pytest
+from lambent_server.http.login_header import LOGIN_NAME, LOGIN_ORGANISATIONS, LoginHeader, login_secret
+from lambent_server.secrets import SecretError
 from lambent_server.settings import Settings
 from structlog.testing import capture_logs
 
@@ -49,3 +51,62 @@ def test_others_and_two_headers_name_nobody(tmp_path: Path):
     assert state_of(tmp_path, ("X-Name", "fay"), ("X-Name", "root")) == {}
     assert state_of(tmp_path, ("X-Name", "  ")) == {}
     assert state_of(tmp_path, ("X-Name", "fay"), peer="::ffff:10.0.0.1") == {LOGIN_NAME: "fay"}
+
+
+SECRET = "a secret of more than twenty characters"
+LOCAL = ("127.0.0.1", "127.0.0.0/8", "0.0.0.0/0", "10.0.0.2,::1", "::/0", "::ffff:127.0.0.1")
+
+
+def with_secret(folder: Path, text: str = SECRET) -> dict[str, Any]:
+    """Return the setting for a file with this secret."""
+    path = folder / "login.secret"
+    path.write_text(text + "\n")
+    return {"login_secret_file": path}
+
+
+def test_only_who_knows_the_secret_names_anybody(tmp_path: Path):
+    given = {**with_secret(tmp_path), "trusted_proxies": "127.0.0.1"}
+    named = ("X-Name", "fay")
+
+    def state(*headers: tuple[str, str], peer: str = "127.0.0.1") -> dict[str, str]:
+        return state_of(tmp_path, named, *headers, peer=peer, **given)
+
+    right, wrong = ("X-Lambent-Login-Secret", SECRET), ("X-Lambent-Login-Secret", SECRET + "x")
+    assert state(right) == {LOGIN_NAME: "fay"}
+    with capture_logs() as logs:
+        for headers in ((), (wrong,), (right, wrong), (right, right), (("X-Lambent-Login-Secret", ""),)):
+            assert state(*headers) == {}
+    assert {each["event"] for each in logs} == {"login_secret_wrong"}
+    assert SECRET not in str(logs)
+    assert state(right, peer="10.0.0.9") == {}
+
+
+@pytest.mark.parametrize("trusted", LOCAL)
+def test_a_proxy_of_the_loopback_needs_a_secret(tmp_path: Path, trusted: str):
+    settings = Settings(data=tmp_path, login_header="X-Name", trusted_proxies=trusted)
+    with pytest.raises(SecretError, match=r"^serve\.login_secret_missing: .*LAMBENT_LOGIN_SECRET_FILE"):
+        login_secret(settings)
+    assert login_secret(settings.model_copy(update=with_secret(tmp_path))) == SECRET.encode()
+
+
+def test_a_proxy_of_another_machine_and_one_that_names_nobody_need_none(tmp_path: Path):
+    for given in (
+        {"login_header": "X-Name", "trusted_proxies": "10.0.0.2,fd00::/8"},
+        {"trusted_proxies": "127.0.0.1"},
+    ):
+        assert login_secret(Settings(data=tmp_path, **given)) is None
+
+
+@pytest.mark.parametrize(
+    "text", ["", "short", "a tab \t in a secret of twenty", "two lines\nof twenty characters"]
+)
+def test_a_file_without_a_secret_is_refused(tmp_path: Path, text: str):
+    settings = Settings(data=tmp_path, **with_secret(tmp_path, text))
+    with pytest.raises(SecretError, match=r"^serve\.login_secret_invalid: .*at least 20"):
+        login_secret(settings)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path):
+    settings = Settings(data=tmp_path, login_secret_file=tmp_path / "nothing")
+    with pytest.raises(SecretError, match=r"^serve\.login_secret_invalid: .*nothing cannot be read"):
+        login_secret(settings)

@@ -5,7 +5,7 @@ from alembic import op
 from lambent_server.database.migration_locks import lock
 
 revision = "0017"
-down_revision = "0015"
+down_revision = "0016"
 
 _SEQUENCE = "checkpoints_number"
 _CHECKED = "ix_blob_claims_checked_at"
