@@ -16,6 +16,7 @@ from lambent_server.database.tenancy import across_tenants
 from lambent_server.membership import Membership
 from lambent_server.settings import Settings
 from lambent_server.webhook_claims import claim
+from lambent_server.webhook_places import Places
 from sqlalchemy import update
 from support.databases import postgresql, without_tables
 from support.live_server import LiveServer, wait_until
@@ -84,7 +85,7 @@ def test_a_delivery_waits_for_no_longer_than_any_wait_can_be(stage: Stage, wait_
     services = stage.api.services
     with services.database.write() as connection:
         connection.execute(webhook_deliveries.insert().values(**values, num_attempts=0, attempts=[]))
-    assert bool(claim(services.database, services.settings, 4, {})) is is_due
+    assert bool(claim(services.database, services.settings, Places(services.settings))) is is_due
 
 
 def test_what_was_just_sent_is_not_garbage_after_the_clock_was_set_forward(

@@ -19,6 +19,7 @@ from lambent_server.database.service_schema import webhooks
 from lambent_server.database.tenancy import change, rows
 from lambent_server.problems import Problem
 from lambent_server.webhook_claims import claim
+from lambent_server.webhook_places import Places
 from starlette.testclient import TestClient
 from support.api import TENANT, Api, expect, expect_problem
 from support.eve import (
@@ -256,7 +257,7 @@ def test_subscriptions_and_webhooks_of_jobs_end_with_whoever_made_them(api: Api,
     shown = expect(api.get(f"/v1/webhooks/{subscription}"), 200)
     assert shown["disabled_reason"] == ("" if how == "demoted" else makers.LEFT)
     # What waited from before is not sent any more.
-    waiting = claim(api.services.database, api.services.settings, 10, {})
+    waiting = claim(api.services.database, api.services.settings, Places(api.services.settings))
     assert [row["secrets"] for row in waiting] == [[]] * len(waiting)
     assert {row["webhook_id"] for row in waiting} == ({None, subscription} if how == "demoted" else {None})
 
