@@ -98,6 +98,18 @@ describe("environment maps in all layouts and codings", () => {
 });
 
 describe("primaries", () => {
+  it("adapt tristimulus values to no white", () => {
+    const found = rec709Matrix([1, 0, 0, 1, 0, 0, 1 / 3, 1 / 3])!;
+    // Source: IEC 61966-2-1, the matrix from XYZ to linear sRGB.
+    const expected = [3.2406, -1.5372, -0.4986, -0.9689, 1.8758, 0.0415, 0.0557, -0.204, 1.057];
+    expect(
+      found
+        .flat()
+        .map((value, at) => Math.abs(value - expected[at]!))
+        .every((off) => off < 1e-3),
+    ).toBe(true);
+  });
+
   it("keep grey grey, and are null for those of Rec. 709", () => {
     const aces = rec709Matrix([0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767]);
     const rgb = Float32Array.of(1, 1, 1, -1, 0, 0);

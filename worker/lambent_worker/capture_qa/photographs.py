@@ -179,7 +179,7 @@ def _read(path: Path, limits: PhotographLimits, row: dict[str, Any], portraits: 
         raise PictureError("scene.image_not_finite", "holds NaN or infinity; export it again without")
     shown, alpha = picture.srgb(), picture.coverage()
     luma = measures.luma_of(shown)
-    is_like_a_mask = measures.is_like_a_mask(shown)
+    is_like_a_mask = bool((alpha >= 1.0).all()) and measures.is_like_a_mask(shown)
     rank = 2 if is_like_a_mask else int(luma.std() < limits.blank_levels)
     if rank not in portraits:
         portraits[rank] = portrait_of(shown, alpha)

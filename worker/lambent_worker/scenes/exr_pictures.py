@@ -226,12 +226,16 @@ def _luminance(header: Mapping[str, Any]) -> tuple[float, float, float]:
     stated = header.get("chromaticities")
     if stated is None:
         return _LUMINANCE
-    x_red, y_red, x_green, y_green, x_blue, y_blue, x_white, y_white = np.ravel(stated).tolist()
-    corners = np.array(
-        [[x / y, 1.0, (1.0 - x - y) / y] for x, y in ((x_red, y_red), (x_green, y_green), (x_blue, y_blue))]
-    ).T
-    white = np.array([x_white / y_white, 1.0, (1.0 - x_white - y_white) / y_white])
-    red, green, blue = np.linalg.solve(corners, white).tolist()
+    corners = np.array([(x, y, 1.0 - x - y) for x, y in np.reshape(stated, (4, 2)).tolist()]).T
+    try:
+        shares = corners[1, :3] * np.linalg.solve(corners[:, :3], corners[:, 3] / corners[1, 3])
+    except (np.linalg.LinAlgError, ZeroDivisionError, FloatingPointError):
+        shares = np.full(3, np.nan)
+    if not np.isfinite(shares).all() or abs(shares[1]) < 1e-6:
+        raise PictureError(
+            "scene.colour_space", "states primaries that span no colours; export it as linear Rec. 709"
+        )
+    red, green, blue = shares.tolist()
     return red, green, blue
 
 

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 REC709_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """Red, green, blue and white of linear Rec. 709, CIE x and y each."""
+CIE_XYZ = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0)
+"""What states that the three channels are X, Y and Z themselves."""
 SAME = 2e-3
 """Greatest difference of a coordinate up to which primaries are those of Rec. 709; writers round them."""
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
@@ -27,6 +29,9 @@ def rec709_matrix(chromaticities: Sequence[float]) -> NDArray[np.float32] | None
         raise ValueError("eight finite numbers are needed")
     if np.abs(stated - REC709_CHROMATICITIES).max() < SAME:
         return None
+    if np.abs(stated - CIE_XYZ).max() < SAME:
+        # Tristimulus values are of no white, so there is none to adapt.
+        return np.linalg.inv(_xyz_from_rgb(np.array(REC709_CHROMATICITIES))).astype(np.float32)
     ours, theirs = _xyz_from_rgb(np.array(REC709_CHROMATICITIES)), _xyz_from_rgb(stated)
     white, their_white = _BRADFORD @ ours.sum(axis=1), _BRADFORD @ theirs.sum(axis=1)
     if np.abs(their_white).min() < 1e-3:

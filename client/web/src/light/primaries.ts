@@ -8,6 +8,8 @@ export type Matrix = readonly [row: Row, row: Row, row: Row];
 type Row = readonly [number, number, number];
 
 const rec709 = [0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329];
+/** What states that the three channels are X, Y and Z themselves. */
+const cieXyz = [1, 0, 0, 1, 0, 0, 1 / 3, 1 / 3];
 /** Greatest difference of a coordinate up to which primaries are those of Rec. 709; writers round them. */
 const same = 2e-3;
 const bradford: Matrix = [
@@ -23,6 +25,8 @@ const bradford: Matrix = [
 export function rec709Matrix(stated: readonly number[]): Matrix | null | undefined {
   if (stated.length !== 8 || !stated.every(Number.isFinite)) return undefined;
   if (stated.every((value, at) => Math.abs(value - rec709[at]!) < same)) return null;
+  // Tristimulus values are of no white, so there is none to adapt.
+  if (stated.every((value, at) => Math.abs(value - cieXyz[at]!) < same)) return inverse(xyzFromRgb(rec709)!);
   const theirs = xyzFromRgb(stated);
   if (theirs === undefined) return undefined;
   const ours = xyzFromRgb(rec709)!;

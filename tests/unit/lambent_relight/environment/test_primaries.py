@@ -56,3 +56,10 @@ def test_a_colour_outside_rec_709_loses_its_negative_channel_and_a_broken_one_st
     found = to_rec709(broken, matrix)
     assert found[0].min() < 0.0
     assert not np.isfinite(found[1:]).all(axis=1).any()
+
+
+def test_tristimulus_values_are_adapted_to_no_white():
+    # Source: IEC 61966-2-1, the matrix from XYZ to linear sRGB.
+    expected = [[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]
+    found = rec709_matrix((1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0))
+    np.testing.assert_allclose(found, expected, atol=1e-3)

@@ -141,6 +141,17 @@ def test_a_channel_of_every_second_pixel_is_spread_over_all():
     np.testing.assert_allclose(odd[1:4, 1:6], ramp[2:5, 2:7], rtol=1e-6)
 
 
+def test_luminance_of_tristimulus_values_is_their_second(tmp_path):
+    xyz = np.dstack([0.3 + 0 * DISTANCE, 0.4 + 0 * DISTANCE, 0.2 + 0 * DISTANCE]).astype(np.float32)
+    planes = {"Y": xyz[..., 1].copy()}
+    for name, at in (("RY", 0), ("BY", 2)):
+        planes[name] = ((xyz[..., at] - xyz[..., 1]) / xyz[..., 1]).astype(np.float32)
+    write(tmp_path / "a.exr", planes, chromaticities=(1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3))
+    matrix = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
+    found = read_picture(tmp_path / "a.exr").linear()[0, 0]
+    np.testing.assert_allclose(found, matrix @ [0.3, 0.4, 0.2], atol=1e-3)
+
+
 def test_integers_are_refused(tmp_path):
     write(tmp_path / "a.exr", channels((255 * COLOURS).astype(np.uint32)))
     with pytest.raises(PictureError, match="integers"):
