@@ -2,9 +2,9 @@
 
 Every figure has one precedence: that of a frame goes before that of the file. Where one of them gives a focal
 length in several ways, `fl_x` goes before `camera_angle_x` (radians), and that before `x_fov` (degrees);
-`fl_y`, `camera_angle_y` and `y_fov` likewise. Where only one of two focal lengths is given, pixels are
-square. The principal point (`cx`, `cy`) and the distortion hold however the focal length is given. Pixels are
-those of a picture of `w` x `h`.
+`fl_y`, `camera_angle_y` and `y_fov` likewise, and a matrix `K` where there is none of these. Where only one of
+two focal lengths is given, pixels are square. The principal point (`cx`, `cy`) and the distortion hold however
+the focal length is given. Pixels are those of a picture of `w` x `h`.
 """
 
 import math
@@ -18,7 +18,9 @@ from lambent_worker.scenes.reading import finite_number, focal_from_angle
 AXES = ("x", "y")
 _FOCAL = {axis: (f"fl_{axis}", f"camera_angle_{axis}", f"{axis}_fov") for axis in AXES}
 FOCAL_KEYS = (*_FOCAL["x"], *_FOCAL["y"])
-LENS_KEYS = (*FOCAL_KEYS, "cx", "cy", "w", "h")
+MATRIX = "K"
+"""A lens as three rows of three numbers, as OpenCV and many scripts have it."""
+LENS_KEYS = (*FOCAL_KEYS, MATRIX, "cx", "cy", "w", "h")
 """A frame that has one of them has a lens of its own."""
 
 _PERSPECTIVE = (
@@ -58,6 +60,7 @@ def read_lens(
 
     `shared` are the settings of the file, `own` those of the frame; the picture has `size` pixels.
     """
+    shared, own = _with_matrix(shared), _with_matrix(own)
     distortion = _distortion({**shared, **own}, picture, subject, problems)
     if not any(key in settings for settings in (own, shared) for key in FOCAL_KEYS):
         problems.error(
@@ -70,6 +73,16 @@ def read_lens(
         return _Reading(shared, own, size, picture, subject, problems).lens(distortion)
     except _FaultyError:
         return None
+
+
+def _with_matrix(settings: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return settings with the figures of a lens matrix, where they state no focal length otherwise."""
+    rows = settings.get(MATRIX)
+    if any(key in settings for key in FOCAL_KEYS) or not isinstance(rows, list):
+        return settings
+    if [len(row) if isinstance(row, list) else 0 for row in rows] != [3, 3, 3]:
+        return settings
+    return {"cx": rows[0][2], "cy": rows[1][2], **settings, "fl_x": rows[0][0], "fl_y": rows[1][1]}
 
 
 class _Reading:

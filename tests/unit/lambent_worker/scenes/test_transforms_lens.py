@@ -114,3 +114,17 @@ def test_a_figure_that_cannot_be_used_is_an_error(shared, code):
     problems = Problems()
     assert read_lens(shared, {}, SIZE, "a.png", "frame 0", problems) is None
     assert [each.code for each in problems.findings()] == [code]
+
+
+def test_a_lens_may_be_a_matrix_and_counts_after_what_is_named():
+    matrix = [[120.0, 0.0, 50.0], [0.0, 130.0, 42.0], [0.0, 0.0, 1.0]]
+    assert lens({"w": 96, "h": 80, "K": matrix}) == (120.0, 130.0, 50.0, 42.0)
+    assert lens({"fl_x": 99.0}, {"K": matrix}) == (120.0, 130.0, 50.0, 42.0)
+    assert lens({}, {"K": matrix, "fl_x": 99.0})[:2] == (99.0, 99.0)
+
+
+@pytest.mark.parametrize("matrix", [[], [[1.0]], "K", [[1.0, 0.0], [0.0, 1.0]], 5, [1, 2, 3]])
+def test_a_matrix_of_another_shape_is_no_lens(matrix):
+    problems = Problems()
+    assert read_lens({"K": matrix}, {}, SIZE, "a.png", "frame 0", problems) is None
+    assert [finding.code for finding in problems.findings()] == ["scene.camera_missing"]
