@@ -1,10 +1,10 @@
 """Lenses of transforms files: in pixels or by angle, of the file or of a frame.
 
 Every figure has one precedence: that of a frame goes before that of the file. Where one of them gives a
-focal length in several ways, `fl_x` goes before `camera_angle_x` (radians), and that before `x_fov` (degrees);
-`fl_y`, `camera_angle_y` and `y_fov` likewise, and a matrix `K` where there is none of these. Where only one
-of two focal lengths is given, pixels are square. The principal point (`cx`, `cy`) and the distortion hold however
-the focal length is given. Pixels are those of a picture of `w` x `h`.
+focal length in several ways, `fl_x` goes before `camera_angle_x` (radians), and that before `x_fov`
+(degrees); `fl_y`, `camera_angle_y` and `y_fov` likewise, and a matrix `K` where there is none of these.
+Where only one of two focal lengths is given, pixels are square. The principal point (`cx`, `cy`) and the
+distortion hold however the focal length is given. Pixels are those of a picture of `w` x `h`.
 """
 
 import math
