@@ -67,7 +67,9 @@ export async function keepPicture(page: Page, name: string): Promise<void> {
 
 /** Wait until the viewer of a page or a frame shows its bundle. */
 export async function shown(frame: Page | Frame): Promise<void> {
-  await frame.waitForFunction(() => document.querySelector("lambent-viewer")?.viewer?.bundle != null);
+  const isShown = () => document.querySelector("lambent-viewer")?.viewer?.bundle != null;
+  // Several viewers share the processor in tests of pages that stay open.
+  await frame.waitForFunction(isShown, undefined, { timeout: 60_000 });
   await frame.evaluate(async () => {
     const element = document.querySelector("lambent-viewer")!;
     await element.ready;
