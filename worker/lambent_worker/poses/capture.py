@@ -6,6 +6,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PIL import Image
 
 from lambent_worker.errors import SceneRefusedError, UsageError
@@ -19,7 +20,7 @@ from lambent_worker.poses.solution import MODEL, Solution
 from lambent_worker.poses.solve import PoseProgress, PoseSettings
 from lambent_worker.scenes.exif import exif_facts
 from lambent_worker.scenes.mask_levels import write_mask
-from lambent_worker.scenes.pictures import PILLOW_FORMATS, decode, opened
+from lambent_worker.scenes.pictures import PILLOW_FORMATS, picture_format, read_picture
 from lambent_worker.scenes.problems import Problems
 
 RECORD = "poses.json"
@@ -98,19 +99,21 @@ def _write(photographs: Photographs, solution: Solution, out: Path) -> None:
 
 
 def _copy(photograph: Path, target: Path) -> None:
-    """Copy a photograph; one that is stored as a mirror image is written mirrored back, without its EXIF.
+    """Copy a photograph; one stored as a mirror image is written mirrored back, in 8-bit sRGB without EXIF.
 
     Its cameras are those of the picture as it was, and other programs read the file without looking at EXIF.
     """
     if photograph.suffix.lower() not in PILLOW_FORMATS or not exif_facts(photograph).is_mirrored:
         shutil.copyfile(photograph, target)
         return
-    with opened(photograph) as image:
-        decode(image)
-        options: dict[str, Any] = {"quality": 97, "subsampling": 0} if image.format == "JPEG" else {}
-        profile = {"icc_profile": image.info["icc_profile"]} if "icc_profile" in image.info else {}
-        mirrored = image.transpose(Image.Transpose.FLIP_LEFT_RIGHT)
-        mirrored.save(target, image.format, **options, **profile)
+    picture, known = read_picture(photograph), picture_format(photograph)
+    pixels = picture.srgb()
+    if picture.alpha is not None:
+        pixels = np.dstack([pixels, np.round(255.0 * picture.coverage()).astype(np.uint8)])
+    options: dict[str, Any] = {"quality": 97, "subsampling": 0} if known == "JPEG" else {}
+    if known in ("WEBP", "AVIF"):
+        options = {"lossless": True} if known == "WEBP" else {"quality": 97}
+    Image.fromarray(pixels).save(target, known, **options)
 
 
 def _clear(out: Path) -> None:
