@@ -12,6 +12,8 @@ from support.api import KEY, Api, expect, opened
 from support.databases import postgresql
 from support.one_of_each import one_of_each
 
+pytestmark = [pytest.mark.slow, pytest.mark.long]
+
 OPERATIONS = [
     (path, method, operation)
     for path, operations in describe()["paths"].items()

@@ -8,7 +8,7 @@ import sys
 import pytest
 from support.captures import write_tensoir
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.slow, pytest.mark.long, pytest.mark.timeout(180)]
 
 
 def started(folder, *options):
