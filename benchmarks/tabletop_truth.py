@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from lambent.truth import read_camera
 from lambent_relight import Camera, Environment, load_environment
-from lambent_worker.scenes.float_pictures import float_pixels
+from lambent_worker.scenes.exr_pictures import exr_pixels
 from numpy import ndarray
 from PIL import Image, ImageOps
 
@@ -96,7 +96,9 @@ def premultiplied(path: Path) -> Float[ndarray, "height width 4"]:
         with Image.open(path) as image:
             rgba = np.asarray(image.convert("RGBA"), np.float64) / 255.0
     else:
-        rgba = float_pixels(path).astype(np.float64)
+        colours, alpha, *_ = exr_pixels(path)
+        assert alpha is not None
+        rgba = np.concatenate([colours, alpha[..., None]], axis=-1).astype(np.float64)
     return np.concatenate([rgba[..., :3] * rgba[..., 3:], rgba[..., 3:]], axis=-1)
 
 

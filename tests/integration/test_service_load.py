@@ -25,8 +25,8 @@ def test_streams_and_slow_senders_are_served_and_nobody_else_notices(tmp_path: P
     # Nobody was refused, and no sender has been cut off yet.
     assert result["counts"] == {"stream 200": STREAMS}
     assert result["server"]["files"] > STREAMS + SENDERS
-    # A thread for each would be 192; those there are serve requests.
-    assert result["server"]["threads"] <= 45
+    # A thread for each would be 192; these are the 40 of requests and those of the background.
+    assert result["server"]["threads"] <= 50
     idle, busy = result["idle"], result["busy"]
     # Medians, with room for what else the machine does: the benchmark measures, this finds what is broken.
     assert np.median(busy.health) < max(0.25, 4.0 * np.median(idle.health))

@@ -73,5 +73,5 @@ def test_a_turn_ends_with_the_response_also_where_that_is_a_problem(
     with opened(tmp_path / "data") as api:
         for _ in range(3):
             assert api.get("/v1/jobs/none").status_code == 404
-            assert api.post("/v1/scenes", content=b"{").status_code == 422
+            assert api.post("/v1/scenes", json={}).status_code == 422
         expect(api.get("/v1/jobs"), 200)
