@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from lambent_server.database.engine import Database
     from lambent_server.settings import Settings
 
 DataOption = Annotated[Path | None, typer.Option(help="Folder of the database, the files and the key.")]
@@ -32,6 +33,26 @@ def settings_of(**given: Any) -> "Settings":
     except SettingsError as error:
         typer.echo(f"serve.setting_invalid: {error}; it must be JSON", err=True)
         raise typer.Exit(2) from error
+
+
+def database_of(settings: "Settings", command: str) -> "Database":
+    """Return the database of a server, running or not; exit with code 2 and one line if it cannot be used."""
+    from sqlalchemy.exc import SQLAlchemyError
+
+    from lambent_server.database.revision import UnreleasedSchemaError
+    from lambent_server.services import open_database
+    from lambent_server.shared_secrets import is_data_folder
+
+    try:
+        if is_data_folder(settings.data):
+            return open_database(settings)
+        line = f"no_server: {settings.data} is not the data folder of a server; give --data"
+    except UnreleasedSchemaError as error:
+        line = f"data_unreleased: {error}"
+    except SQLAlchemyError as error:
+        line = f"failed: {str(error).splitlines()[0]}"
+    typer.echo(f"{command}.{line}", err=True)
+    raise typer.Exit(2)
 
 
 def serve(
@@ -111,16 +132,11 @@ def keys(
     from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant, rows
     from lambent_server.problems import Problem
     from lambent_server.secrets import SecretError
-    from lambent_server.services import open_database
-    from lambent_server.shared_secrets import is_data_folder
 
     settings, tenant = settings_of(data=data, database=database), Tenant(DEFAULT_TENANT_ID)
     if bool(key) == (action is KeyAction.LIST):
         raise typer.BadParameter("create takes a name, revoke and rotate take an id, list takes neither")
-    if not is_data_folder(settings.data):
-        typer.echo(f"keys.no_server: {settings.data} is no data folder of a server; say --data", err=True)
-        raise typer.Exit(2)
-    opened = open_database(settings)
+    opened = database_of(settings, "keys")
     try:
         begin_time(opened)
         with opened.write() as connection:

@@ -180,9 +180,7 @@ class Controller:
         """Return whether this server has started the run, in this life or an earlier one."""
         if self._members.is_alone:
             return True
-        handle = job["handle"] or {}
-        # The release before did not say who has started a run.
-        return handle["server"] == self._members.id if "server" in handle else self._sees(job)
+        return (job["handle"] or {}).get("server") == self._members.id
 
     def _is_orphan(self, job: Job) -> bool:
         """Return whether the server that has started the run is dead."""

@@ -21,7 +21,7 @@ from lambent_server.clock import follow, new_id
 from lambent_server.database.cluster_schema import leadership, servers
 from lambent_server.database.columns import clock_time
 from lambent_server.database.engine import Database
-from lambent_server.database.leadership import Leadership, OlderServers
+from lambent_server.database.leadership import Leadership
 from lambent_server.secrets import read_or_create
 from lambent_server.settings import Settings
 from lambent_server.shared_secrets import SERVER
@@ -134,11 +134,6 @@ class Membership:
         """Whether this server can do the work of a leader, if it is to be one."""
         lost_after_s = settings.server_lost_after_s
         self._leadership = Leadership(database, self.id, lost_after_s)
-        # A lock of a session must not be taken through a pooler, where others get the session next.
-        self._direct = database
-        if settings.database_direct is not None:
-            self._direct = Database(settings.listening_url)
-        self._older = OlderServers(self._direct)
         self._controls_until = 0.0
         self._known = False
         self._others: tuple[Member, ...] = ()
@@ -219,9 +214,6 @@ class Membership:
         if self._thread.is_alive():
             self._thread.join(timeout=_CLOSED_S)
         self._leadership.release()
-        self._older.close()
-        if self._direct is not self._database:
-            self._direct.close()
         try:
             with self._database.write() as connection:
                 connection.execute(delete(servers).where(servers.c.id == self.id))
@@ -248,14 +240,10 @@ class Membership:
         self._write_row()
         # Before anything else: who judges the runs of others must know who lives.
         self._look(began)
-        if self._older.are_gone():
-            self._controls_until = began + self._settings.server_lost_after_s
-            if self.is_fit():
-                self._leadership.beat()
-            else:
-                self._leadership.release()
+        self._controls_until = began + self._settings.server_lost_after_s
+        if self.is_fit():
+            self._leadership.beat()
         else:
-            self._controls_until = 0.0
             self._leadership.release()
 
     def _look(self, began: float) -> None:

@@ -9,7 +9,7 @@ from lambent_server.database.tenancy import Tenant, rows
 
 SHORTEST = 3
 """Letters from which the index of names helps."""
-# Tables of SQLite alone, which the migration makes and triggers keep up to date.
+# Tables of SQLite alone, which `database.creation` makes and triggers keep up to date.
 _NAMES = table("scene_names", column("rowid"), column("scene_names"))
 _NUMBERS = table("scene_numbers", column("number"), column("scene_id"))
 

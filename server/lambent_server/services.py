@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from lambent_server.database.engine import Database
 from lambent_server.database.latest_time import begin_time
+from lambent_server.database.revision import require_released
 from lambent_server.disk_space import Space
 from lambent_server.fair_places import FairPlaces
 from lambent_server.provenance import Signer, open_signer
@@ -69,12 +70,12 @@ def open_services(settings: Settings) -> Services:
     """Create the folders, migrate the database and return the parts."""
     from .executors.local import count_gpus
 
+    database = open_database(settings)
     for folder in (settings.data, settings.runs, settings.scratch):
         folder.mkdir(parents=True, exist_ok=True)
     # Uploads that were in progress when an earlier server stopped.
     for path in settings.scratch.iterdir():
         shutil.rmtree(path) if path.is_dir() else path.unlink()
-    database = open_database(settings)
     database.migrate()
     begin_time(database)
     capacity = Capacity.of_machine(settings, count_gpus())
@@ -82,17 +83,29 @@ def open_services(settings: Settings) -> Services:
     return Services(settings, database, _open_store(settings, database), Wakeups(), capacity, signer)
 
 
-def join_services(settings: Settings) -> Services:
+def join_services(settings: Settings, database: Database) -> Services:
     """Return the parts for a command that may run beside a server; nothing is created or migrated."""
     capacity = Capacity.of_machine(settings, 0)
-    database = open_database(settings)
     begin_time(database)
     return Services(settings, database, _open_store(settings, database), Wakeups(), capacity)
 
 
 def open_database(settings: Settings) -> Database:
-    """Return the database of the settings, as it is."""
-    return Database(settings.database_url, pooled=settings.database_direct is not None)
+    """Return the database of the settings, as it is.
+
+    Raises UnreleasedSchemaError, having changed nothing, or the driver's exception.
+    """
+    database = Database(settings.database_url, pooled=settings.database_direct is not None)
+    place, option = f"the data folder {settings.data}", "--data"
+    if settings.database is not None:
+        place, option = f"the database {database.url.render_as_string()}", "--database"
+    try:
+        if (revision := database.revision()) is not None:
+            require_released(revision, place, option)
+    except BaseException:
+        database.close()
+        raise
+    return database
 
 
 def _open_store(settings: Settings, database: Database) -> BlobStore:

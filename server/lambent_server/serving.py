@@ -31,7 +31,7 @@ from lambent_server.app import LOOPBACK, make_app
 from lambent_server.compression import Compressor
 from lambent_server.connections import Connections
 from lambent_server.controller import Controller
-from lambent_server.database.engine import SchemaTooNewError
+from lambent_server.database.revision import SchemaTooNewError, UnreleasedSchemaError
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
 from lambent_server.executors.chosen import ExecutorSetupError, open_executor
 from lambent_server.http.identity import issue_login_code
@@ -46,7 +46,7 @@ from lambent_server.s3 import StoreSetupError
 from lambent_server.scrubber import Scrubber
 from lambent_server.secrets import SecretError
 from lambent_server.serve_error import ServeError
-from lambent_server.services import Services, open_services
+from lambent_server.services import Services, open_database, open_services
 from lambent_server.settings import Settings
 from lambent_server.shared_secrets import WORKER, shared_secret
 from lambent_server.webhook_sender import Sender
@@ -177,6 +177,9 @@ async def run(settings: Settings, on_ready: Any) -> None:
     """
     check_address(settings)
     sys.setswitchinterval(SWITCH_S)
+    with _explained(settings):
+        # Before the lock, which is a file in the data folder.
+        open_database(settings).close()
     with sole_user(settings.data):
         port = settings.port or free_port(settings.host)
         require_free(settings.host, port)
@@ -195,12 +198,21 @@ async def run(settings: Settings, on_ready: Any) -> None:
 
 def _open(settings: Settings, connections: int) -> tuple[Services, FastAPI, App, str]:
     """Return the parts, the application, the same wrapped in its gate, and the secret of run processes."""
-    try:
+    with _explained(settings):
         services = open_services(settings)
         secret = shared_secret(services.database, settings, WORKER)
         accept_file(services.database, Tenant(DEFAULT_TENANT_ID), settings.data)
         login_secret(settings)
         return services, *make_app(services, connections), secret
+
+
+@contextlib.contextmanager
+def _explained(settings: Settings) -> Iterator[None]:
+    """Say which part of the settings cannot be used, and what to do."""
+    try:
+        yield
+    except UnreleasedSchemaError as error:
+        raise ServeError(f"serve.data_unreleased: {error}") from error
     except SecretError as error:
         raise ServeError(str(error)) from error
     except OSError as error:

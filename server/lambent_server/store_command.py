@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lambent_server.cli import DatabaseOption, DataOption, settings_of
+from lambent_server.cli import DatabaseOption, DataOption, database_of, settings_of
 
 if TYPE_CHECKING:
     from lambent_server.reconciler import Findings
@@ -46,15 +46,11 @@ def store(
     from lambent_server.accounts.who import operator
     from lambent_server.reconciler import examine, repair
     from lambent_server.services import join_services
-    from lambent_server.shared_secrets import is_data_folder
 
     settings = settings_of(data=data, database=database, store=store, orphan_after_s=older_than_s)
-    if not is_data_folder(settings.data):
-        typer.echo(f"store.no_server: {settings.data} is no data folder of a server; say --data", err=True)
-        raise typer.Exit(2)
     try:
-        services = join_services(settings)
-        with closing(services.database):
+        with closing(database_of(settings, "store")) as rows:
+            services = join_services(settings, rows)
             found = examine(services, contents=content)
             if action is StoreAction.CLEAN:
                 if found.is_foreign:

@@ -1,4 +1,4 @@
-"""Who leads, on PostgreSQL: a lease that ends by itself, and nobody of the release before beside it."""
+"""Who leads, on PostgreSQL: a lease that ends by itself."""
 
 import contextlib
 import time
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from lambent_server.database.engine import Database
-from lambent_server.database.leadership import Leadership, OlderServers
+from lambent_server.database.leadership import Leadership
 from lambent_server.membership import Membership, members
 from lambent_server.settings import Settings
 from lambent_server.shared_secrets import SHARE, WORKER, shared_secret
@@ -16,8 +16,6 @@ from support.databases import postgresql
 from support.live_server import wait_until
 
 pytestmark = [pytest.mark.services, pytest.mark.slow]
-OLD = 0x1A4BE47
-"""The lock of the release before."""
 
 
 @pytest.fixture(scope="module")
@@ -103,32 +101,6 @@ def test_a_leader_that_ends_need_not_be_waited_for(database: Database):
     # The one that ended before must not take the lead from the next.
     first.release()
     assert second.beat()
-
-
-def test_nobody_controls_jobs_while_a_server_of_the_release_before_does(database: Database, tmp_path: Path):
-    members = Membership(database, Settings(data=tmp_path), host="here")
-    with database.engine.connect() as connection:
-        old = connection.execution_options(isolation_level="AUTOCOMMIT")
-        assert old.execute(text(f"SELECT pg_try_advisory_lock({OLD})")).scalar()
-        members.beat()
-        assert not members.controls
-        assert not members.leads
-        old.execute(text(f"SELECT pg_advisory_unlock({OLD})"))
-        members.beat()
-        assert members.controls
-        assert members.leads
-        # Nor does one that comes later.
-        assert not old.execute(text(f"SELECT pg_try_advisory_lock({OLD})")).scalar()
-        members.close()
-        assert old.execute(text(f"SELECT pg_try_advisory_lock({OLD})")).scalar()
-        old.execute(text(f"SELECT pg_advisory_unlock({OLD})"))
-
-
-def test_several_servers_of_this_release_control_jobs_together(database: Database):
-    with contextlib.closing(OlderServers(database)) as one, contextlib.closing(OlderServers(database)) as two:
-        assert one.are_gone()
-        assert two.are_gone()
-        assert one.are_gone()
 
 
 def test_a_server_whose_work_is_stuck_lets_another_lead(database: Database, tmp_path: Path):

@@ -15,7 +15,7 @@ from lambent_server.job_queries import check_quota, insert_job
 from lambent_server.problems import Problem
 from lambent_server.services import open_services
 from lambent_server.settings import Settings
-from sqlalchemy import create_engine, inspect, literal, select, text
+from sqlalchemy import create_engine, literal, select, text
 from support.databases import ADMIN, postgresql
 from support.live_server import LiveServer, wait_until
 
@@ -115,26 +115,3 @@ def test_both_databases_find_words_in_the_same_names(
     for address in (f"{url.replace('postgresql:', 'postgresql+psycopg:')}", f"sqlite:///{tmp_path / 'x'}"):
         with contextlib.closing(Database(address)) as database, database.read() as connection:
             assert bool(connection.execute(statement).scalar_one()) is found, address
-
-
-def test_the_tables_are_those_of_the_schema(server: LiveServer, url: str):
-    from lambent_server.database.schema import metadata
-
-    engine = create_engine(url.replace("postgresql:", "postgresql+psycopg:"))
-    found = set(inspect(engine).get_table_names())
-    engine.dispose()
-    assert found == set(metadata.tables) | {"alembic_version"}
-
-
-def test_the_migrations_make_exactly_the_schema(tmp_path: Path):
-    from alembic.autogenerate import compare_metadata
-    from alembic.migration import MigrationContext
-    from lambent_server.database.schema import metadata
-
-    with contextlib.closing(Database(f"sqlite:///{tmp_path / 'x.sqlite'}")) as database:
-        database.migrate()
-        database.migrate()
-        # The index of names is SQLite's own.
-        given = {"include_name": lambda name, *_: name is None or not name.startswith("scene_n")}
-        with database.read() as connection:
-            assert compare_metadata(MigrationContext.configure(connection, opts=given), metadata) == []

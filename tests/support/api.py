@@ -98,7 +98,7 @@ def expect_problem(answer: Any, status: int, code: str) -> dict[str, Any]:
 
 @cache
 def empty_tables() -> bytes:
-    """Return a database file with every migration and no rows, which takes a fifth of a second to make."""
+    """Return a database file with all tables and no rows, which takes a fifth of a second to make."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "lambent.sqlite"
         database = Database(f"sqlite:///{path}")

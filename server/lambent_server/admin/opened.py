@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from lambent_server.cli import settings_of
+from lambent_server.cli import database_of, settings_of
 from lambent_server.services import Capacity, Services, s3_options
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, one object per line, for machines.")]
@@ -31,16 +31,11 @@ def opened(
     from lambent_server.executors.local import count_gpus
     from lambent_server.problems import Problem
     from lambent_server.secrets import SecretError
-    from lambent_server.services import open_database
-    from lambent_server.shared_secrets import is_data_folder
     from lambent_server.store import BlobStore
     from lambent_server.wakeups import Wakeups
 
     settings = settings_of(data=data, database=database, store=store)
-    if not is_data_folder(settings.data):
-        typer.echo(f"admin.no_server: {settings.data} is no data folder of a server; say --data", err=True)
-        raise typer.Exit(2)
-    rows = open_database(settings)
+    rows = database_of(settings, "admin")
     try:
         begin_time(rows)
         blobs = BlobStore(

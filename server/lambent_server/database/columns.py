@@ -59,7 +59,7 @@ def optional_time_column(name: str) -> Column[float | None]:
 def next_number(connection: Connection, column: Column[int]) -> ColumnElement[int]:
     """Return the expression of a number that is larger than every one before it in `column`.
 
-    PostgreSQL counts with a sequence, which the migration makes; SQLite has one writer.
+    PostgreSQL counts with a sequence, which `creation` makes; SQLite has one writer.
     """
     if connection.dialect.name == "postgresql":
         return func.nextval(f"{column.table.name}_{column.name}")

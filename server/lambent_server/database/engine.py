@@ -7,22 +7,23 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-import structlog
-from sqlalchemy import Connection, Engine, ExceptionContext, create_engine, event, inspect, text
+from sqlalchemy import Connection, Engine, ExceptionContext, create_engine, event, text
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import DBAPIError
 
-log = structlog.get_logger()
+from lambent_server.database.creation import create_tables
+from lambent_server.database.revision import (
+    is_served_by_newer,
+    revision_of_file,
+    revision_of_tables,
+)
 
 BUSY_MS = 30_000
 ANALYZED_ROWS = 1000
+MIGRATIONS = Path(__file__).parent / "migrations"
 _MIGRATION_LOCK = 0x1A4BE49
 _READ_ONLY_STATE = "25006"
 READ_ONLY = "read-only"
-
-
-class SchemaTooNewError(Exception):
-    """The tables were changed by a newer version that does not serve this one any more."""
 
 
 def is_read_only(error: DBAPIError) -> bool:
@@ -98,8 +99,15 @@ class Database:
                 raise
         return "ok"
 
+    def revision(self) -> str | None:
+        """Return the revision of the tables, None if there are none; not a byte of a file changes."""
+        if self.is_sqlite:
+            return revision_of_file(Path(self.url.database or ""))
+        with self.read() as connection:
+            return revision_of_tables(connection)
+
     def migrate(self) -> None:
-        """Migrate the tables to the version of this code, while no other server does.
+        """Create the tables, or migrate them to the version of this code, while no other server does.
 
         Tables of a newer version are left as they are if they say that they serve this one too; else raises
         SchemaTooNewError.
@@ -107,13 +115,21 @@ class Database:
         # Alembic is needed only briefly at startup, and is slow to import.
         from alembic import command
         from alembic.config import Config
+        from alembic.migration import MigrationContext
         from alembic.script import ScriptDirectory
 
         config = Config()
-        config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
-        head = str(ScriptDirectory.from_config(config).get_current_head())
+        config.set_main_option("script_location", str(MIGRATIONS))
+        scripts = ScriptDirectory.from_config(config)
+        head = str(scripts.get_current_head())
         with self._migrating(), self.engine.connect() as connection:
-            if _is_served_by_newer(connection, head):
+            current = revision_of_tables(connection)
+            if current is None:
+                with self.write() as writing:
+                    create_tables(writing, head)
+                    MigrationContext.configure(writing).stamp(scripts, head)
+                return
+            if is_served_by_newer(connection, current, head):
                 return
             # That question has begun a transaction, and each migration has one of its own.
             connection.rollback()
@@ -144,28 +160,6 @@ class Database:
     def close(self) -> None:
         """Close every connection."""
         self.engine.dispose()
-
-
-def _is_served_by_newer(connection: Connection, head: str) -> bool:
-    """Return whether the tables are of a newer version that serves `head`, the version of this code."""
-    names = inspect(connection).get_table_names()
-    if "alembic_version" not in names:
-        return False
-    current = connection.execute(text("SELECT version_num FROM alembic_version")).scalar_one_or_none() or ""
-    # The names of revisions are numbers of four digits.
-    if current <= head:
-        return False
-    compatible_from = None
-    if "schema_info" in names:
-        statement = text("SELECT value FROM schema_info WHERE name = 'compatible_from'")
-        compatible_from = connection.execute(statement).scalar_one_or_none()
-    if compatible_from is None or head < compatible_from:
-        raise SchemaTooNewError(
-            f"its tables have revision {current}, and this version of Lambent knows {head}; those before "
-            f"{compatible_from or current} cannot use them"
-        )
-    log.warning("schema_newer", found=current, known=head, compatible_from=compatible_from)
-    return True
 
 
 def _leave_read_only(context: ExceptionContext) -> None:

@@ -10,7 +10,7 @@ import contextlib
 import time
 
 import structlog
-from sqlalchemy import ColumnElement, Connection, case, false, select, text, update
+from sqlalchemy import ColumnElement, Connection, case, false, select, update
 from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server.database.cluster_schema import leadership
@@ -18,9 +18,6 @@ from lambent_server.database.columns import clock_time
 from lambent_server.database.engine import Database
 
 log = structlog.get_logger()
-
-# The lock of a session by which servers of the release before chose their leader.
-_OLD_LOCK = 0x1A4BE47
 
 
 class Leadership:
@@ -95,44 +92,3 @@ class Leadership:
         statement = update(leadership).where(leadership.c.holder == self._holder).values(expires_at=0.0)
         with contextlib.suppress(SQLAlchemyError), self._database.write() as connection:
             connection.execute(statement)
-
-
-class OlderServers:
-    """Keeps this server from controlling jobs while one of the release before does, and the other way round.
-
-    Such a server takes runs that it cannot see for lost. It controls jobs while it has a lock for itself,
-    which this release shares among all its servers.
-    """
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
-        self._connection: Connection | None = None
-
-    def are_gone(self) -> bool:
-        """Return whether no server of the release before controls jobs, nor can begin to."""
-        if self._database.is_sqlite:
-            return True
-        try:
-            if self._connection is not None:
-                self._connection.execute(text("SELECT 1"))
-                return True
-            connection = self._database.engine.connect().execution_options(isolation_level="AUTOCOMMIT")
-            self._connection = connection
-            taken = connection.execute(text("SELECT pg_try_advisory_lock_shared(:key)"), {"key": _OLD_LOCK})
-            if not taken.scalar():
-                self.close()
-                log.warning("older_server_leads", fix="stop the servers of the release before, one by one")
-                return False
-        except SQLAlchemyError:
-            self.close()
-            raise
-        return True
-
-    def close(self) -> None:
-        """Let servers of the release before control jobs again."""
-        if self._connection is not None:
-            with contextlib.suppress(SQLAlchemyError):
-                # Not back to the pool: the next user would hold the lock without knowing.
-                self._connection.invalidate()
-                self._connection.close()
-            self._connection = None

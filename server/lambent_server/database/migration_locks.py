@@ -1,4 +1,4 @@
-"""Locks of migrations that run while servers of the release before write."""
+"""Locks of migrations that run while servers of the previous release write."""
 
 import time
 

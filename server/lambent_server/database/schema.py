@@ -198,7 +198,7 @@ jobs = Table(
 
 # How many jobs of a tenant are in a state: the sum of `num_jobs`. Triggers on `jobs` add a row for every
 # change, so that no transaction waits for another; `job_counts.fold` replaces the rows by their sums. A
-# migration that recreates `jobs` has to recreate its triggers.
+# migration that recreates `jobs` has to recreate its triggers (`creation`).
 job_counts = Table(
     "job_counts",
     metadata,
@@ -266,7 +266,7 @@ checkpoints = Table(
     _count("step"),
     _time("created_at"),
     # The order in which they were committed, whatever clocks say
-    Column("number", BigInteger, nullable=False, server_default="0"),
+    Column("number", BigInteger, nullable=False),
     Column("manifest", JSON, nullable=False),
     # The scene that it is kept with; null if it goes with the job.
     _optional_text("scene_id"),
