@@ -2,20 +2,19 @@
 
 import hashlib
 import re
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from typing import Annotated, Any
 from urllib.parse import quote
 
 from fastapi import APIRouter, Path, Request, Response
 from fastapi.responses import StreamingResponse
-from starlette.concurrency import iterate_in_threadpool
+from zipstream import ZipStream
 
-from lambent_server import zip_stream
 from lambent_server.bundle_rows import require_bundle, show
 from lambent_server.database.schema import bundle_files
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.outside_text import sendable_media_type
-from lambent_server.problems import Problem, not_found
+from lambent_server.problems import not_found
 from lambent_server.routes.blob_responses import RESPONSES, Asked, AskedOf, MatchHeader, matches, send_blob
 from lambent_server.routes.common import Id, ServicesOf, Sha, TenantOf, problems
 from lambent_server.services import Services
@@ -71,7 +70,7 @@ def get_bundle_file(
 
 
 _ARCHIVE: dict[int | str, dict[str, Any]] = {
-    **problems(404, 410, 413),
+    **problems(404, 410),
     200: {
         "description": "The archive.",
         "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
@@ -90,19 +89,16 @@ def get_bundle_archive(
         name = show(connection, tenant, row).scene_name or bundle_id
         statement = rows(tenant, bundle_files).where(bundle_files.c.bundle_id == bundle_id)
         files = connection.execute(statement.order_by(bundle_files.c.path)).mappings().all()
-    entries = [_entry(services, file) for file in files]
-    if not zip_stream.fits(entries):
-        raise Problem(
-            413,
-            "archive_too_large",
-            "the bundle is above 4 GiB, the most that such an archive can hold; use `lambent fetch`",
-        )
+    archive = ZipStream(sized=True)
+    for file in files:
+        archive.add(_read_in_turn(services, file), file["path"], size=int(file["size_bytes"]))
     etag = f'"{hashlib.sha256("".join(f["path"] + f["sha256"] for f in files).encode()).hexdigest()}"'
     headers = {
-        "etag": etag,
+        # Weak: entries carry the time at which they are sent.
+        "etag": f"W/{etag}",
         "cache-control": "private, max-age=31536000, immutable",
         "content-disposition": f"attachment; filename*=UTF-8''{_named(name)}",
-        "content-length": str(zip_stream.length_of(entries)),
+        "content-length": str(len(archive)),
     }
     if matches(etag, if_none_match):
         del headers["content-length"]
@@ -111,20 +107,12 @@ def get_bundle_archive(
     lost = services.store.damaged({file["sha256"]: int(file["size_bytes"]) for file in files})
     if lost:
         raise damaged(lost[0])
-    pieces = zip_stream.zip_pieces(entries, row["created_at"])
-    return StreamingResponse(_sent(pieces), headers=headers, media_type="application/zip")
+    return StreamingResponse(archive, headers=headers, media_type="application/zip")
 
 
-async def _sent(pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
-    """Yield pieces that are not empty; between any two steps the client may have gone."""
-    async for piece in iterate_in_threadpool(pieces):
-        if piece:
-            yield piece
-
-
-def _entry(services: Services, file: Any) -> zip_stream.Entry:
-    size = int(file["size_bytes"])
-    return zip_stream.Entry(file["path"], size, lambda: services.store.read(file["sha256"], size))
+def _read_in_turn(services: Services, file: Any) -> Iterator[bytes]:
+    """Yield a file in pieces; it is opened when the archive comes to it."""
+    yield from services.store.read(file["sha256"], int(file["size_bytes"]))
 
 
 def _named(name: str) -> str:
