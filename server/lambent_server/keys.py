@@ -48,7 +48,7 @@ class Key(Shown):
     last_used_at: str | None
     """Exact to a minute."""
     scopes: list[ScopeName]
-    """What it may do; all for keys from before there were any."""
+    """What it may do."""
     user_id: str | None
     """Whose key it is; null: nobody's in particular."""
     made_by: str | None

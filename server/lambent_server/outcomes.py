@@ -66,19 +66,12 @@ def requeue(connection: Connection, job: Job, message: str, **values: Any) -> bo
     return move(connection, job, QUEUED, message, stop_reason=None, **values)
 
 
-def adjustments_of(job: Job) -> dict[str, dict[str, float]]:
-    """Return the adjustments that the job's failures have made: by stage, factors by setting."""
-    kept = dict(job["adjustments"])
-    # Rows of the previous version have the factors of one stage next to its name.
-    stage = kept.pop("stage", None)
-    return kept if stage is None else {stage: kept}
-
-
 def fail(connection: Connection, job: Job, failure: Failure, settings: Settings) -> bool:
     """Retry the job after a failure of its own, or fail it; a job being cancelled just ends."""
     RUNS_FAILED.labels(failure.cause).inc()
     failures = job["failures"] + 1
-    adjustments = adjustments_of(job)
+    # By stage, factors by setting.
+    adjustments: dict[str, dict[str, float]] = dict(job["adjustments"])
     give_up = failure.cause in _HOPELESS or failures >= settings.max_failures
     if failure.cause in _ADJUSTED:
         name, factor = _ADJUSTED[failure.cause]

@@ -132,14 +132,6 @@ def media_type(text: str) -> str | None:
     return given if len(given) <= MAX_MEDIA_TYPE and _MEDIA_TYPE.fullmatch(given) else None
 
 
-def sendable_media_type(text: str) -> str:
-    """Return a stored media type, or `OCTETS` in place of one that no header may have.
-
-    Earlier releases stored what a run said, whatever it was.
-    """
-    return media_type(text) or OCTETS
-
-
 def refuse_form(content_type: str) -> None:
     """Refuse the body of a form with `unsupported_media_type` (415): its bytes are not those of the file."""
     if content_type.partition("/")[0].strip().lower() == "multipart":

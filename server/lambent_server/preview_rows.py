@@ -20,8 +20,6 @@ NEWEST = 48
 """Two turns in steps of 15 degrees: of these every picture is kept."""
 EARLIER = 96
 """Of those before at most so many, the sparser the older they are."""
-AT_ONCE = 200
-"""Pictures of one report's transaction: a job of an earlier release may have thousands."""
 
 
 def thin(connection: Connection, job: Mapping[str, Any]) -> None:
@@ -37,7 +35,7 @@ def thin(connection: Connection, job: Mapping[str, Any]) -> None:
     if len(earlier) <= EARLIER:
         return
     # The first one stays whatever comes: it shows how it began.
-    gone = earlier[1::2][:AT_ONCE]
+    gone = earlier[1::2]
     update = change(owner(job), events).where(
         events.c.job_id == job["id"], events.c.seq.in_([seq for seq, _ in gone])
     )

@@ -20,9 +20,9 @@ from lambent_server.clock import now, rfc3339
 from lambent_server.database.engine import Database
 from lambent_server.database.people_schema import provenance_statements
 from lambent_server.database.tenancy import Tenant, add, remove, rows
-from lambent_server.secrets import SecretError, write_secret
+from lambent_server.secrets import SecretError, read_or_create
 from lambent_server.settings import Settings
-from lambent_server.shared_secrets import shared_value
+from lambent_server.shared_secrets import shared_secret
 
 FILE = "provenance.key"
 PAYLOAD_TYPE = "application/vnd.in-toto+json"
@@ -92,13 +92,11 @@ def open_signer(database: Database, settings: Settings) -> Signer:
     The key is where other secrets are: in the database, or in a file if there is one server, or a folder of
     secrets. Raises SecretError for a file without a key.
     """
-    path = settings.provenance_key or (settings.secrets or settings.data) / FILE
-    if database.is_sqlite or settings.secrets is not None or settings.provenance_key is not None:
-        if not path.exists():
-            write_secret(path, new_key())
-        return Signer(path.read_text(encoding="utf-8"), str(path))
-    own = path.read_text(encoding="utf-8").strip() if path.exists() else None
-    return Signer(shared_value(database, FILE, own, new_key), "the database")
+    if settings.provenance_key is not None:
+        return Signer(read_or_create(settings.provenance_key, new_key), str(settings.provenance_key))
+    in_file = database.is_sqlite or settings.secrets is not None
+    place = str((settings.secrets or settings.data) / FILE) if in_file else "the database"
+    return Signer(shared_secret(database, settings, FILE, new_key), place)
 
 
 def key_id_of(public_key: bytes) -> str:
@@ -191,7 +189,7 @@ def store(connection: Connection, tenant: Tenant, bundle_id: str, envelope: str)
 
 
 def find(connection: Connection, tenant: Tenant, bundle_id: str) -> str | None:
-    """Return the envelope of a bundle as JSON; None for bundles from before there were any."""
+    """Return the envelope of a bundle as JSON; None if it has none."""
     mine = provenance_statements.c.bundle_id == bundle_id
     statement = rows(tenant, provenance_statements, provenance_statements.c.envelope).where(mine)
     return connection.execute(statement).scalar_one_or_none()

@@ -20,7 +20,7 @@ from lambent_server.database.schema import (
 )
 from lambent_server.database.tenancy import add, change, find
 from lambent_server.job_rows import Job, NewEvent, append_event, append_events, owner, set_fields
-from lambent_server.outcomes import Failure, adjustments_of, fail, lose
+from lambent_server.outcomes import Failure, fail, lose
 from lambent_server.paths import check_path
 from lambent_server.preparation import drop_superseded, offered_checkpoints, scene_of_checkpoint
 from lambent_server.preview_rows import SHEET, thin
@@ -59,7 +59,7 @@ def describe_run(connection: Connection, job: Job, settings: Settings) -> worker
         check_scene=inputs.check_scene,
         device="cuda" if job["gpus"] else "cpu",
         adjustments=worker_pb2.Adjustments(
-            stages={stage: worker_pb2.StageAdjustments(**own) for stage, own in adjustments_of(job).items()}
+            stages={stage: worker_pb2.StageAdjustments(**own) for stage, own in job["adjustments"].items()}
         ),
         progress_interval_s=settings.progress_interval_s,
         preview_interval_s=settings.preview_interval_s,

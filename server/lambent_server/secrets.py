@@ -5,29 +5,12 @@ import hashlib
 import hmac
 import os
 import secrets
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 
 class SecretError(Exception):
     """A secret's file cannot be used; the message says what to do."""
-
-
-class SharedSecret(str):
-    """A secret with those that are accepted besides, from data folders of before."""
-
-    __slots__ = ("others",)
-
-    def __new__(cls, secret: str, others: Iterable[str] = ()) -> "SharedSecret":
-        """Return the secret, which signs, with the others."""
-        made = super().__new__(cls, secret)
-        made.others = tuple(others)
-        return made
-
-
-def accepted(secret: str) -> tuple[str, ...]:
-    """Return all secrets whose signatures are accepted, the one that signs first."""
-    return (secret, *(secret.others if isinstance(secret, SharedSecret) else ()))
 
 
 def sha256_text(text: str) -> str:
@@ -106,5 +89,4 @@ def is_run_token(secret: str, token: str) -> bool:
 
 def is_token_of(secret: str, token: str, job_id: str, run: int) -> bool:
     """Return whether a token is that of one run."""
-    given = token.encode()
-    return any(hmac.compare_digest(given, run_token(each, job_id, run).encode()) for each in accepted(secret))
+    return hmac.compare_digest(token.encode(), run_token(secret, job_id, run).encode())

@@ -32,7 +32,6 @@ from lambent_server.content_checks import (
 )
 from lambent_server.database import schema
 from lambent_server.database.tenancy import Tenant, add_if_absent, change, rows
-from lambent_server.outside_text import sendable_media_type
 from lambent_server.problems import Problem
 from lambent_server.s3 import S3Bucket, S3Options
 
@@ -395,4 +394,4 @@ def find_blob(connection: Connection, tenant: Tenant, sha256: str) -> Blob | Non
         .mappings()
         .one_or_none()
     )
-    return Blob(sha256, int(row["size_bytes"]), sendable_media_type(row["media_type"])) if row else None
+    return Blob(sha256, int(row["size_bytes"]), row["media_type"]) if row else None

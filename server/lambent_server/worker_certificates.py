@@ -14,9 +14,9 @@ from typing import Any
 import structlog
 
 from lambent_server.database.engine import Database
-from lambent_server.secrets import SecretError, read_or_create
+from lambent_server.secrets import SecretError
 from lambent_server.settings import Settings
-from lambent_server.shared_secrets import shared_value
+from lambent_server.shared_secrets import shared_secret
 
 log = structlog.get_logger()
 
@@ -57,7 +57,7 @@ def certificate_for(database: Database, settings: Settings) -> Certificate:
     Raises SecretError if one of the settings' files is missing or is not what it should be.
     """
     if settings.worker_certificate is None:
-        return issue(_shared_authority(database, settings))
+        return issue(shared_secret(database, settings, NAME, make_authority))
     return _given(settings)
 
 
@@ -133,12 +133,6 @@ def _checked(path: Path, load: Callable[[bytes], object]) -> bytes:
             "a passphrase that this user can read"
         ) from error
     return data
-
-
-def _shared_authority(database: Database, settings: Settings) -> str:
-    if database.is_sqlite or settings.secrets is not None:
-        return read_or_create((settings.secrets or settings.data) / NAME, make_authority)
-    return str(shared_value(database, NAME, make=make_authority))
 
 
 def make_authority() -> str:

@@ -154,22 +154,14 @@ def test_servers_know_where_the_others_are_and_which_of_them_live(database: Data
         each.close()
 
 
-def test_secrets_are_made_once_and_those_of_data_folders_are_accepted(database: Database, tmp_path: Path):
-    from lambent_server.secrets import accepted, is_run_token, new_secret, run_token
-
-    folders = [tmp_path / name for name in ("a", "b", "c")]
+def test_secrets_are_made_once_for_all_servers(database: Database, tmp_path: Path):
+    folders = [tmp_path / name for name in ("a", "b")]
     for folder in folders:
         folder.mkdir()
-    old = new_secret()
-    (folders[2] / WORKER).write_text(old)
-    first, second, third = (
+    first, second = (
         shared_secret(database, Settings(data=folder, database="x"), WORKER) for folder in folders
     )
-    assert first == second == third
-    assert accepted(third) == (first, old)
-    # A run that the server of that folder has started before it was updated.
-    assert is_run_token(third, run_token(old, "job_x", 3))
-    assert not is_run_token(third, run_token(new_secret(), "job_x", 3))
+    assert first == second
     assert shared_secret(database, Settings(data=folders[0]), SHARE) != first
     assert [path.name for path in folders[0].iterdir()] == []
 

@@ -78,8 +78,8 @@ def fetch(
 def fetch_statement(connection: Connection, bundle_id: str, target: Path) -> Path | None:
     """Write the signed statement of a bundle beside the folder `target` and return its path.
 
-    None for bundles and servers from before there were statements; one of an earlier bundle at the same place
-    is removed, which would accuse this one of having been changed.
+    None if the bundle has none; that of another bundle at the same place is removed, because it would accuse
+    this one of having been changed.
     """
     try:
         statement = connection.send("GET", f"/v1/bundles/{bundle_id}/provenance").content

@@ -294,8 +294,6 @@ _READERS: Mapping[str, Callable[[Any], Any]] = {
     "progress": Progress.from_json,
     "error": JobError.from_json,
     "seq": int,
-    # Earlier servers write 3084.0.
-    "size_bytes": int,
     "findings": lambda items: tuple(map(Finding.from_json, items)),
     "job_ids": tuple,
     "events": tuple,

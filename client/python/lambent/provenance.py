@@ -119,8 +119,7 @@ def _read_envelope(path: Path) -> dict[str, Any]:
         raise UsageProblemError(
             "verify.no_statement",
             f"there is no statement at {path}",
-            "`lambent fetch` writes it beside the bundle; name another place with --statement. Bundles of "
-            "servers from before there were statements have none",
+            "`lambent fetch` writes it beside the bundle; name another place with --statement",
         ) from error
     if len(text) > _MAX_STATEMENT_BYTES:
         raise _tampered(f"{path} is above {_MAX_STATEMENT_BYTES} bytes")

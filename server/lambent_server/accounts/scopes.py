@@ -34,7 +34,7 @@ def joined(scopes: Iterable[ScopeName]) -> str:
 
 
 def parsed(text: str | None) -> frozenset[ScopeName]:
-    """Return stored scopes: all for null, as keys from before there were any have it."""
+    """Return stored scopes: all for null."""
     if text is None:
         return ALL
     stored = set(text.split())

@@ -20,7 +20,7 @@ class Maker:
 
 
 NOBODY = Maker()
-"""The server itself, or somebody from before makers were stored."""
+"""The server itself, or an operator."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

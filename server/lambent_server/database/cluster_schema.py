@@ -45,14 +45,13 @@ leadership = Table(
     time_column("expires_at"),
 )
 
-# What only servers know; the oldest of a name signs, all of them are accepted.
+# What only servers know.
 shared_secrets = Table(
     "shared_secrets",
     metadata,
-    text_column("name"),
+    Column("name", Text, primary_key=True),
     text_column("value"),
     time_column("created_at"),
-    PrimaryKeyConstraint("name", "value"),
 )
 
 # Codes of one-time links for browsers.

@@ -50,7 +50,7 @@ api_keys = Table(
     _optional_time("expires_at"),
     _optional_time("revoked_at"),
     _optional_time("last_used_at"),
-    # Separated by spaces; null: all of them, as keys from before there were any
+    # Separated by spaces; null: all of them
     _optional_text("scopes"),
     # Whose key it is; null: nobody's in particular
     _optional_text("user_id"),

@@ -13,7 +13,6 @@ from zipstream import ZipStream
 from lambent_server.bundle_rows import require_bundle, show
 from lambent_server.database.schema import bundle_files
 from lambent_server.database.tenancy import Tenant, rows
-from lambent_server.outside_text import sendable_media_type
 from lambent_server.problems import not_found
 from lambent_server.routes.blob_responses import RESPONSES, Asked, AskedOf, MatchHeader, matches, send_blob
 from lambent_server.routes.common import Id, ServicesOf, Sha, TenantOf, problems
@@ -43,8 +42,7 @@ def _bundle_file(
     if row is None:
         raise not_found("file", path)
     gzip_bytes = int(row["gzip_bytes"] or 0)
-    media_type = media_type or sendable_media_type(row["media_type"])
-    return Blob(row["sha256"], int(row["size_bytes"]), media_type, gzip_bytes)
+    return Blob(row["sha256"], int(row["size_bytes"]), media_type or row["media_type"], gzip_bytes)
 
 
 @router.get("/v1/bundles/{bundle_id:id}/manifest", response_class=Response, responses=RESPONSES)

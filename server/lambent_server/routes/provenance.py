@@ -21,7 +21,6 @@ def get_provenance(services: ServicesOf, tenant: TenantOf, bundle_id: Id) -> Pro
         require_bundle(connection, tenant, bundle_id)
         envelope = provenance.find(connection, tenant, bundle_id)
     if envelope is None:
-        # It was made by a release that signed nothing.
         raise not_found("provenance", bundle_id)
     return Provenance(**json.loads(envelope))
 

@@ -8,7 +8,6 @@ from typing import NoReturn
 import pytest
 from lambent_proto.v1 import worker_pb2
 from lambent_server.executors import Handle, Launch
-from lambent_server.outcomes import adjustments_of
 from sqlalchemy.exc import OperationalError
 from support.runs import Stage, staged
 
@@ -195,12 +194,6 @@ def test_what_a_failure_has_changed_in_one_stage_stays_when_another_stage_fails(
             "joint": worker_pb2.StageAdjustments(learning_rate=0.3),
         }
     )
-
-
-def test_adjustments_of_the_version_before_are_read():
-    row = {"adjustments": {"ray_chunk": 0.5, "stage": "cache"}}
-    assert adjustments_of(row) == {"cache": {"ray_chunk": 0.5}}
-    assert adjustments_of({"adjustments": {}}) == {}
 
 
 def test_a_program_that_does_not_start_is_a_failure(stage: Stage):

@@ -87,7 +87,6 @@ def test_a_server_that_could_not_look_who_lives_controls_nothing(
 
     monkeypatch.setattr(module, "members", away)
     here._database.is_sqlite = False
-    monkeypatch.setattr(here._older, "are_gone", lambda: True)
     monkeypatch.setattr(here._leadership, "beat", lambda: pytest.fail("it must not lead"))
     with pytest.raises(OSError, match="away"):
         here.beat()

@@ -11,7 +11,6 @@ from lambent_server.outside_text import (
     parse_json,
     plain,
     refuse_form,
-    sendable_media_type,
 )
 from lambent_server.problems import Problem
 
@@ -99,7 +98,6 @@ def test_targets_are_text_in_utf_8():
 )
 def test_media_types_follow_the_grammar(text: str):
     assert media_type(f" {text}\t") == text
-    assert sendable_media_type(text) == text
 
 
 @pytest.mark.parametrize(
@@ -111,7 +109,6 @@ def test_media_types_follow_the_grammar(text: str):
 )
 def test_other_texts_are_no_media_types(text: str):
     assert media_type(text) is None
-    assert sendable_media_type(text) == OCTETS
 
 
 def test_bytes_without_a_media_type_are_octets():

@@ -102,7 +102,6 @@ class Connection:
         self.ending = False
         self._store = Store()
         # Whether files go to and from the store directly; not any more once a server knows no such calls.
-        self._direct = True
 
     def close(self) -> None:
         """Close the channels."""
@@ -155,18 +154,18 @@ class Connection:
 
     def _put(self, path: Path, sha256: str, size: int, media_type: str) -> None:
         """Send a file to the store, or where that cannot be reached from here to the server."""
-        if self._direct:
-            given = {"fence": self.identity.fence, "sha256": sha256, "size_bytes": float(size)}
-            plan = self._direct_call(self.stub.PlanUpload, worker_pb2.PlanUploadRequest(**given))
-            if plan is not None and plan.stored:
-                return
-            if plan is not None and plan.direct and self._send_parts(path, plan.parts):
-                request = worker_pb2.CompleteUploadRequest(**given, media_type=media_type)
-                timeout = TRANSFER_TIMEOUT_S
-                done = self.stub.CompleteUpload(request, timeout=timeout, metadata=self._metadata)
-                if done.missing:
-                    raise StoreAwayError("the store has not got everything")
-                return
+        given = {"fence": self.identity.fence, "sha256": sha256, "size_bytes": float(size)}
+        planned = worker_pb2.PlanUploadRequest(**given)
+        plan = self.stub.PlanUpload(planned, timeout=CALL_TIMEOUT_S, metadata=self._metadata)
+        if plan.stored:
+            return
+        if plan.direct and self._send_parts(path, plan.parts):
+            request = worker_pb2.CompleteUploadRequest(**given, media_type=media_type)
+            timeout = TRANSFER_TIMEOUT_S
+            done = self.stub.CompleteUpload(request, timeout=timeout, metadata=self._metadata)
+            if done.missing:
+                raise StoreAwayError("the store has not got everything")
+            return
         header = worker_pb2.BlobHeader(
             fence=self.identity.fence, sha256=sha256, size_bytes=float(size), media_type=media_type
         )
@@ -178,16 +177,6 @@ class Connection:
                     yield worker_pb2.PutBlobRequest(data=chunk)
 
         self.stub.PutBlob(pieces(), timeout=TRANSFER_TIMEOUT_S, metadata=self._metadata)
-
-    def _direct_call(self, method: Callable[..., Any], request: Any) -> Any:
-        """Return the answer of the server, or None from one that knows of no direct transfers."""
-        try:
-            return method(request, timeout=CALL_TIMEOUT_S, metadata=self._metadata)
-        except grpc.RpcError as error:
-            if error.code() != grpc.StatusCode.UNIMPLEMENTED:
-                raise
-            self._direct = False
-            return None
 
     def _send_parts(self, path: Path, parts: Iterable[worker_pb2.UploadPart]) -> bool:
         """Send parts of a file; return False if the store never answers to this machine."""
@@ -217,11 +206,10 @@ class Connection:
 
     def _get(self, sha256: str, partial: Path) -> None:
         """Write a file from the store, or where that cannot be reached from here from the server."""
-        if self._direct:
-            request = worker_pb2.LocateBlobRequest(fence=self.identity.fence, sha256=sha256)
-            found = self._direct_call(self.stub.LocateBlob, request)
-            if found is not None and found.url and self._read(found.url, partial):
-                return
+        located = worker_pb2.LocateBlobRequest(fence=self.identity.fence, sha256=sha256)
+        found = self.stub.LocateBlob(located, timeout=CALL_TIMEOUT_S, metadata=self._metadata)
+        if found.url and self._read(found.url, partial):
+            return
         request = worker_pb2.GetBlobRequest(fence=self.identity.fence, sha256=sha256)
         with partial.open("wb") as file:
             for message in self.stub.GetBlob(request, timeout=TRANSFER_TIMEOUT_S, metadata=self._metadata):

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from lambent_server import shares
 from lambent_server.compression import Compressor
-from lambent_server.database.schema import blobs, bundle_files
+from lambent_server.database.schema import bundle_files
 from lambent_server.problems import Problem
 from lambent_server.routes.blob_responses import parse_range
-from sqlalchemy import select, update
+from sqlalchemy import select
 from support.api import TENANT, Api, opened, sha256
 from support.server_rows import add_bundle
 
@@ -155,19 +155,3 @@ def test_an_empty_file_has_no_part():
     assert parse_range("bytes=0-", 1) == (0, 1)
     with pytest.raises(Problem):
         parse_range("bytes=0-", 0)
-
-
-def test_a_media_type_that_no_header_may_have_is_sent_as_octets(api: Api, tmp_path: Path):
-    # An earlier release stored whatever a run called its files.
-    bundle = add_bundle(api, tmp_path, {"manifest.json": b"{}", "a.html": b"<p>"}, bundle_id="bundle_old")
-    broken = "text/html\r\nset-cookie: a=b"
-    with api.services.database.write() as connection:
-        for table in (bundle_files, blobs):
-            connection.execute(
-                update(table).where(table.c.sha256 == sha256(b"<p>")).values(media_type=broken)
-            )
-    for url in (f"/v1/bundles/{bundle}/files/a.html", f"/v1/blobs/{sha256(b'<p>')}"):
-        answer = api.get(url)
-        assert (answer.status_code, answer.content) == (200, b"<p>")
-        assert answer.headers["content-type"] == "application/octet-stream"
-        assert "set-cookie" not in answer.headers

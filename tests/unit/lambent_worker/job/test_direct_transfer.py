@@ -161,19 +161,6 @@ def test_bytes_that_the_store_has_lost_are_refused_and_not_waited_for(
     assert list(tmp_path.glob("fetched*")) == []
 
 
-def test_an_older_server_gets_the_bytes_itself(
-    run: Connection, stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    def unknown(_self: Any, _request: Any, context: Any) -> Any:
-        context.abort(grpc.StatusCode.UNIMPLEMENTED, "Method not found!")
-
-    monkeypatch.setattr(WorkerServicer, "PlanUpload", unknown)
-    monkeypatch.setattr(WorkerServicer, "LocateBlob", unknown)
-    sent = run.put_file(written(tmp_path, b"old"))
-    run.get_file(sent.sha256, tmp_path / "fetched")
-    assert stage.api.services.store.read_all(sent.sha256) == b"old"
-
-
 def test_an_address_that_expired_is_asked_for_again(
     run: Connection, stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -174,7 +174,7 @@ def test_servers_that_come_later_are_learnt(tmp_path: Path):
     with running(home, other) as (first, second), connected(home) as connection:
         first.told = (home, other)
         connection.stub.learn(beat(connection).servers)
-        # A server of the release before says nothing, which changes nothing.
+        # One that says nothing changes nothing.
         first.told = ()
         connection.stub.learn(beat(connection).servers)
         first.stop()
