@@ -5,8 +5,12 @@ from typing import Annotated
 
 import typer
 
-from lambent_server.admin.opened import JsonOption, age, opened
+from lambent_server.accounts import audit
+from lambent_server.accounts.who import operator
+from lambent_server.admin.opened import JsonOption, YesOption, age, opened
 from lambent_server.cli import DatabaseOption, DataOption
+from lambent_server.clock import now, rfc3339
+from lambent_server.database.tenancy import Tenant
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="The audit log of each organisation.")
 OrgOption = Annotated[
@@ -32,9 +36,6 @@ def verify(
     Prints number and hash of the newest entry: kept elsewhere and given as --expect, it also proves that
     nobody has written the whole log anew.
     """
-    from lambent_server.accounts import audit
-    from lambent_server.database.tenancy import Tenant
-
     if expect and not org:
         raise typer.BadParameter("--expect needs --org")
     failed = False
@@ -65,10 +66,6 @@ def verify(
 @app.command()
 def export(org: OrgOption = "", data: DataOption = None, database: DatabaseOption = None) -> None:
     """Print the log as JSON lines, oldest first."""
-    from lambent_server.accounts import audit
-    from lambent_server.clock import rfc3339
-    from lambent_server.database.tenancy import Tenant
-
     with opened(data, database) as services, services.database.read() as connection:
         wanted = [Tenant("" if org == "-" else org)] if org else audit.tenants(connection)
         for tenant in wanted:
@@ -82,16 +79,11 @@ def export(org: OrgOption = "", data: DataOption = None, database: DatabaseOptio
 def prune(
     org: OrgOption,
     older: Annotated[str, typer.Option("--older-than", metavar="AGE", help="Such as 400d.")],
-    yes: Annotated[bool, typer.Option("--yes", help="Do it; without, entries are only counted.")] = False,
+    yes: YesOption = False,
     data: DataOption = None,
     database: DatabaseOption = None,
 ) -> None:
     """Remove the oldest entries, which nothing else can; those that stay can still be verified."""
-    from lambent_server.accounts import audit
-    from lambent_server.accounts.who import operator
-    from lambent_server.clock import now
-    from lambent_server.database.tenancy import Tenant
-
     tenant, before = Tenant("" if org == "-" else org), now() - age(older)
     with opened(data, database) as services, services.database.write() as connection:
         if not yes:

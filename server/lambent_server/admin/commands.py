@@ -2,34 +2,44 @@
 
 import json
 import time
+from dataclasses import asdict
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from sqlalchemy import func, or_
 
-from lambent_server.admin import audit, jobs, organisations, people, retention, webhooks
-from lambent_server.admin.opened import JsonOption, columns, opened
+from lambent_server.accounts import audit
+from lambent_server.accounts.who import operator
+from lambent_server.admin import organisations, people, retention, webhooks
+from lambent_server.admin.audit import app as audit_app
+from lambent_server.admin.jobs import jobs
+from lambent_server.admin.opened import JsonOption, StoreOption, opened, print_rows
 from lambent_server.cli import DatabaseOption, DataOption, keys
-
-if TYPE_CHECKING:
-    from lambent_server.services import Services
+from lambent_server.clock import rfc3339
+from lambent_server.database.schema import jobs as job_table
+from lambent_server.database.service_schema import webhook_deliveries
+from lambent_server.database.tenancy import across_tenants
+from lambent_server.decoding import probe
+from lambent_server.job_rows import FINAL, HAS_RUN
+from lambent_server.membership import members
+from lambent_server.server_state import DRAIN, MAINTENANCE, announce, read, withdraw
+from lambent_server.services import Services
 
 app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     help="Operate the server of this machine, in its database: it may be running or not.",
 )
-app.add_typer(jobs.app, name="jobs")
+app.command()(jobs)
 app.add_typer(webhooks.app, name="webhooks")
 app.add_typer(organisations.app, name="org")
 app.add_typer(people.app, name="user")
 app.add_typer(people.keys_app, name="key")
-app.add_typer(audit.app, name="audit")
+app.add_typer(audit_app, name="audit")
 app.add_typer(retention.app, name="retention")
 app.command("quota")(organisations.quota)
 app.command("keys")(keys)
-
-StoreOption = Annotated[str | None, typer.Option(help="URL of the blob store, as for `lambent serve`.")]
 
 
 class Switch(StrEnum):
@@ -39,15 +49,7 @@ class Switch(StrEnum):
     OFF = "off"
 
 
-def _state(services: "Services") -> dict[str, Any]:
-    from sqlalchemy import func, or_
-
-    from lambent_server.clock import rfc3339
-    from lambent_server.database.schema import jobs as job_table
-    from lambent_server.database.service_schema import webhook_deliveries
-    from lambent_server.database.tenancy import across_tenants
-    from lambent_server.job_rows import FINAL, HAS_RUN
-    from lambent_server.server_state import DRAIN, MAINTENANCE, read
+def _state(services: Services) -> dict[str, Any]:
 
     active = job_table.c.state.not_in(FINAL)
     has_process = or_(job_table.c.state.in_(HAS_RUN), job_table.c.handle.is_not(None))
@@ -69,10 +71,8 @@ def _state(services: "Services") -> dict[str, Any]:
     return {**told, "jobs": counts, "processes": processes, "webhooks_waiting": num_waiting}
 
 
-def _sandbox(services: "Services") -> dict[str, Any]:
+def _sandbox(services: Services) -> dict[str, Any]:
     """Return the layers around processes that decode uploads on this machine, and what is missing."""
-    from lambent_server.decoding import probe
-
     layers = probe(services.settings)
     return {"wanted": services.settings.sandbox, "in_force": layers.in_force, "missing": layers.missing}
 
@@ -101,28 +101,15 @@ def status(data: DataOption = None, database: DatabaseOption = None, as_json: Js
 @app.command()
 def servers(data: DataOption = None, database: DatabaseOption = None, as_json: JsonOption = False) -> None:
     """List the servers on this database, those that died lately among them, and which one leads."""
-    from dataclasses import asdict
-
-    from lambent_server.clock import rfc3339
-    from lambent_server.membership import members
-
     with opened(data, database) as services, services.database.read() as connection:
         found = members(connection)
-    if as_json:
-        for each in found:
-            times = {name: rfc3339(getattr(each, name)) for name in ("started_at", "beat_at")}
-            typer.echo(json.dumps({**asdict(each), **times}))
-        return
-    table: list[tuple[str, ...]] = [
-        ("server", "state", "machine", "url", "slots", "gpus", "version", "runs at")
-    ]
+    rows = []
     for each in found:
-        state = (
-            "leads" if each.leads else "alive" if each.is_alive else f"silent since {rfc3339(each.beat_at)}"
-        )
-        numbers = (str(each.slots), str(each.gpus), each.version)
-        table.append((each.id, state, each.hostname, each.url, *numbers, " ".join(each.endpoints)))
-    columns(table)
+        times = {name: rfc3339(getattr(each, name)) for name in ("started_at", "beat_at")}
+        silent = f"silent since {times['beat_at']}"
+        state = "leads" if each.leads else "alive" if each.is_alive else silent
+        rows.append({**asdict(each), **times, "state": state})
+    print_rows(rows, ("id", "state", "hostname", "url", "slots", "gpus", "version", "endpoints"), as_json)
 
 
 @app.command()
@@ -134,8 +121,6 @@ def drain(
     database: DatabaseOption = None,
 ) -> None:
     """Start no more runs: those that run go on to their end, and jobs are still accepted and queue up."""
-    from lambent_server.server_state import DRAIN
-
     with opened(data, database) as services:
         _tell(services, DRAIN, switch, message)
         while wait and switch is Switch.ON and _state(services)["processes"]:
@@ -153,17 +138,11 @@ def maintenance(
     database: DatabaseOption = None,
 ) -> None:
     """Refuse changes with 503 and Retry-After; reading works, and runs go on and report."""
-    from lambent_server.server_state import MAINTENANCE
-
     with opened(data, database) as services:
         _tell(services, MAINTENANCE, switch, message, retry_after_s)
 
 
-def _tell(services: "Services", name: str, switch: Switch, message: str, retry_after_s: int = 60) -> None:
-    from lambent_server.accounts import audit
-    from lambent_server.accounts.who import operator
-    from lambent_server.server_state import announce, withdraw
-
+def _tell(services: Services, name: str, switch: Switch, message: str, retry_after_s: int = 60) -> None:
     with services.database.write() as connection:
         if switch is Switch.ON:
             announce(connection, name, message, retry_after_s)
@@ -180,9 +159,8 @@ def reconcile(data: DataOption = None, database: DatabaseOption = None, store: S
 
     A running server does the same at its start and every hour. Exit code 1 when bytes are missing.
     """
+    # Slow to import: the whole server.
     from lambent_server import reconciler, serving
-    from lambent_server.accounts import audit
-    from lambent_server.accounts.who import operator
 
     with opened(data, database, store, with_store=True) as services:
         try:

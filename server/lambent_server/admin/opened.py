@@ -1,18 +1,30 @@
 """The parts of a server that the commands of its operator use, whether it runs or not."""
 
 import contextlib
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import timedelta
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from pydantic import ValidationError
+from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server.cli import database_of, settings_of
+from lambent_server.database.latest_time import begin_time
+from lambent_server.executors.local import count_gpus
+from lambent_server.problems import Problem
+from lambent_server.secrets import SecretError
 from lambent_server.services import Capacity, Services, s3_options
+from lambent_server.store import BlobStore
+from lambent_server.wakeups import Wakeups
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, one object per line, for machines.")]
 TenantOption = Annotated[str, typer.Option(help="Only of this tenant.")]
+OlderOption = Annotated[str, typer.Option("--older-than", metavar="AGE", help="Only older: 30m, 12h, 7d.")]
+YesOption = Annotated[bool, typer.Option("--yes", help="Do it; without, it is only shown.")]
+StoreOption = Annotated[str | None, typer.Option(help="URL of the blob store, as for `lambent serve`.")]
 _UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 
@@ -24,16 +36,6 @@ def opened(
 
     Only with `with_store` a store in S3 is looked at: other commands work while it is away.
     """
-    from pydantic import ValidationError
-    from sqlalchemy.exc import SQLAlchemyError
-
-    from lambent_server.database.latest_time import begin_time
-    from lambent_server.executors.local import count_gpus
-    from lambent_server.problems import Problem
-    from lambent_server.secrets import SecretError
-    from lambent_server.store import BlobStore
-    from lambent_server.wakeups import Wakeups
-
     settings = settings_of(data=data, database=database, store=store)
     rows = database_of(settings, "admin")
     try:
@@ -56,12 +58,25 @@ def age(text: str) -> float:
     """Return the seconds of an age such as 30m, 12h or 7d; raises typer.BadParameter for any other text."""
     number, unit = text[:-1], text[-1:]
     if unit not in _UNITS or not number.isdecimal():
-        raise typer.BadParameter(f"{text!r} is no age such as 30m, 12h or 7d")
+        raise typer.BadParameter(f"{text!r} is not an age such as 30m, 12h or 7d")
     return timedelta(seconds=int(number) * _UNITS[unit]).total_seconds()
 
 
-def columns(rows: list[tuple[str, ...]]) -> None:
-    """Print a table; the first row has its titles."""
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    for row in rows:
-        typer.echo("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+def print_rows(rows: Sequence[Mapping[str, Any]], names: Sequence[str], as_json: bool) -> None:
+    """Print rows: as JSON, a line each, with all they have, or as a table of the columns `names`."""
+    if as_json:
+        for row in rows:
+            typer.echo(json.dumps(row))
+        return
+    lines = [[name.upper() for name in names], *([_text(row[name]) for name in names] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for line in lines:
+        typer.echo("  ".join(map(str.ljust, line, widths)).rstrip())
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name}: {each}" for name, each in value.items())
+    if isinstance(value, list | tuple):
+        return " ".join(value)
+    return "" if value is None else str(value)

@@ -1,18 +1,24 @@
 """`lambent admin org` and `lambent admin quota`: organisations, and what each may use."""
 
 import json
+import re
 import time
-from typing import TYPE_CHECKING, Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
+from sqlalchemy import Connection
 
-from lambent_server.admin.opened import JsonOption, columns, opened
+from lambent_server import erasure, housekeeping
+from lambent_server.accounts import audit, organisations, quotas, usage, users
+from lambent_server.accounts.organisations import ID_PATTERN
+from lambent_server.accounts.who import operator
+from lambent_server.admin.opened import JsonOption, StoreOption, YesOption, opened, print_rows
 from lambent_server.cli import DatabaseOption, DataOption
-
-if TYPE_CHECKING:
-    from sqlalchemy import Connection
-
-    from lambent_server.services import Services
+from lambent_server.clock import now, rfc3339
+from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
+from lambent_server.job_queries import num_unfinished, promised_gpu_minutes
+from lambent_server.services import Services
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Organisations: nobody sees what another one has."
@@ -28,10 +34,6 @@ def create(
     database: DatabaseOption = None,
 ) -> None:
     """Add an organisation. Its id is of small letters, digits, - and _, and never changes."""
-    from lambent_server.accounts import audit, organisations
-    from lambent_server.accounts.who import operator
-    from lambent_server.database.tenancy import Tenant
-
     tenant = Tenant(checked_id(org))
     with opened(data, database) as services, services.database.write() as connection:
         organisations.create(connection, tenant, name or org)
@@ -41,10 +43,6 @@ def create(
 
 def checked_id(org: str) -> str:
     """Return an id that an organisation can have; raises typer.BadParameter for any other text."""
-    import re
-
-    from lambent_server.accounts.organisations import ID_PATTERN
-
     if not re.fullmatch(ID_PATTERN, org):
         raise typer.BadParameter(f"{org!r} is no id: 1 to 40 small letters, digits, - and _")
     return org
@@ -55,26 +53,12 @@ def list_organisations(
     data: DataOption = None, database: DatabaseOption = None, as_json: JsonOption = False
 ) -> None:
     """List organisations with their members, unfinished jobs and bytes."""
-    from lambent_server.accounts import organisations
-
     with opened(data, database) as services, services.database.read() as connection:
         shown = [_show(services, connection, row) for row in organisations.all_of_them(connection)]
-    if as_json:
-        for each in shown:
-            typer.echo(json.dumps(each))
-        return
-    names = ("id", "name", "closed", "members", "unfinished_jobs", "bytes")
-    columns(
-        [tuple(name.upper() for name in names), *(tuple(str(each[name]) for name in names) for each in shown)]
-    )
+    print_rows(shown, ("id", "name", "closed", "members", "unfinished_jobs", "bytes"), as_json)
 
 
-def _show(services: "Services", connection: "Connection", row: Any) -> dict[str, Any]:
-    from lambent_server.accounts import usage, users
-    from lambent_server.clock import rfc3339
-    from lambent_server.database.tenancy import Tenant
-    from lambent_server.job_queries import num_unfinished
-
+def _show(services: Services, connection: Connection, row: Any) -> dict[str, Any]:
     tenant = Tenant(row["tenant_id"])
     return {
         "id": tenant.id,
@@ -101,12 +85,7 @@ def reopen(org: IdArgument, data: DataOption = None, database: DatabaseOption = 
     _set_closed(org, False, data, database)
 
 
-def _set_closed(org: str, closed: bool, data: Any, database: str | None) -> None:
-    from lambent_server.accounts import audit, organisations
-    from lambent_server.accounts.who import operator
-    from lambent_server.clock import now
-    from lambent_server.database.tenancy import Tenant
-
+def _set_closed(org: str, closed: bool, data: Path | None, database: str | None) -> None:
     tenant = Tenant(org)
     with opened(data, database) as services, services.database.write() as connection:
         organisations.update(connection, tenant, closed_at=now() if closed else None)
@@ -117,27 +96,20 @@ def _set_closed(org: str, closed: bool, data: Any, database: str | None) -> None
 @app.command()
 def delete(
     org: IdArgument,
-    yes: Annotated[
-        bool, typer.Option("--yes", help="Do it; without, what there is is only counted.")
-    ] = False,
+    yes: YesOption = False,
     wait_s: Annotated[
         float,
         typer.Option("--wait", metavar="SECONDS", help="For runs to end, and for the last bytes.", min=0),
     ] = 120.0,
     data: DataOption = None,
     database: DatabaseOption = None,
-    store: Annotated[str | None, typer.Option(help="URL of the blob store, as for `lambent serve`.")] = None,
+    store: StoreOption = None,
 ) -> None:
     """Delete an organisation: rows, files, keys, people who belong to no other, its audit log.
 
     Nobody gets in from the first moment, jobs are cancelled, and when their runs have ended everything goes.
     Exit code 1 if bytes are left for the server's sweep. There is no way back.
     """
-    from lambent_server import erasure, housekeeping
-    from lambent_server.accounts import organisations
-    from lambent_server.accounts.who import operator
-    from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
-
     tenant = Tenant(org)
     if org == DEFAULT_TENANT_ID:
         raise typer.BadParameter("the key file of the server belongs to it; delete its things instead")
@@ -185,11 +157,6 @@ def quota(
     as_json: JsonOption = False,
 ) -> None:
     """Set what an organisation may use, and show it with what it uses."""
-    from lambent_server.accounts import audit, organisations, quotas, usage
-    from lambent_server.accounts.who import operator
-    from lambent_server.database.tenancy import Tenant
-    from lambent_server.job_queries import num_unfinished, promised_gpu_minutes
-
     tenant = Tenant(org)
     given = {
         "max_bytes": size(max_bytes) if max_bytes else None,
@@ -216,11 +183,11 @@ def quota(
     if as_json:
         typer.echo(json.dumps({name: {"used": use, "limit": limit} for name, (use, limit) in used.items()}))
         return
-    lines = [
-        (name, f"{use:.15g}", "none" if limit is None else f"{limit:.15g}")
+    rows = [
+        {"quota": name, "used": f"{use:.15g}", "limit": "none" if limit is None else f"{limit:.15g}"}
         for name, (use, limit) in used.items()
     ]
-    columns([("QUOTA", "USED", "LIMIT"), *lines])
+    print_rows(rows, ("quota", "used", "limit"), as_json=False)
 
 
 def size(text: str) -> float:

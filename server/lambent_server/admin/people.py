@@ -1,12 +1,20 @@
 """`lambent admin user` and `lambent admin key`: people, and keys of programs, of all organisations."""
 
-import json
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
+from pydantic import ValidationError
+from sqlalchemy import Connection
 
-from lambent_server.admin.opened import JsonOption, age, columns, opened
+from lambent_server import keys
+from lambent_server.accounts import audit, organisations, users
+from lambent_server.accounts.who import operator
+from lambent_server.admin.opened import JsonOption, YesOption, age, opened, print_rows
 from lambent_server.cli import DatabaseOption, DataOption
+from lambent_server.clock import now, rfc3339
+from lambent_server.database.schema import api_keys
+from lambent_server.database.tenancy import Tenant, across_tenants
+from lambent_server.problems import Problem, not_found
 
 app = typer.Typer(
     add_completion=False,
@@ -36,11 +44,6 @@ def add(
     database: DatabaseOption = None,
 ) -> None:
     """Let somebody sign in, or give a user another role or a further organisation."""
-    from lambent_server.accounts import audit, organisations, users
-    from lambent_server.accounts.who import operator
-    from lambent_server.database.tenancy import Tenant
-    from lambent_server.problems import Problem
-
     tenant = Tenant(org)
     with opened(data, database) as services, services.database.write() as connection:
         organisations.require(connection, tenant)
@@ -60,11 +63,6 @@ def remove(
     user: UserArgument, org: OrgOption = "default", data: DataOption = None, database: DatabaseOption = None
 ) -> None:
     """Let somebody no longer belong to an organisation; sessions and keys there end at once."""
-    from lambent_server.accounts import audit, users
-    from lambent_server.accounts.who import operator
-    from lambent_server.database.tenancy import Tenant
-    from lambent_server.problems import not_found
-
     tenant = Tenant(org)
     with opened(data, database) as services, services.database.write() as connection:
         found = users.require(connection, user)
@@ -82,9 +80,6 @@ def list_users(
     as_json: JsonOption = False,
 ) -> None:
     """List people, and what they are in which organisation."""
-    from lambent_server.accounts import users
-    from lambent_server.clock import rfc3339
-
     with opened(data, database) as services, services.database.read() as connection:
         shown = []
         for row in users.everybody(connection):
@@ -100,39 +95,16 @@ def list_users(
                     "disabled": row["disabled_at"] is not None,
                 }
             )
-    _print(shown, ("id", "email", "name", "roles", "last_seen_at", "disabled"), as_json)
+    print_rows(shown, ("id", "email", "name", "roles", "last_seen_at", "disabled"), as_json)
 
 
-def _print(shown: list[dict[str, Any]], names: tuple[str, ...], as_json: bool) -> None:
-    if as_json:
-        for each in shown:
-            typer.echo(json.dumps(each))
-        return
-    lines = [tuple(_text(each[name]) for name in names) for each in shown]
-    columns([tuple(name.upper() for name in names), *lines])
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{name}: {each}" for name, each in value.items())
-    if isinstance(value, list):
-        return " ".join(value)
-    return "" if value is None else str(value)
-
-
-def _logs_of(connection: Any, user_id: str) -> list[str]:
+def _logs_of(connection: Connection, user_id: str) -> list[str]:
     """Return in whose logs it belongs what happens to a user: "" is that of the server."""
-    from lambent_server.accounts import audit, users
-
     found = sorted(row["tenant_id"] for row in users.memberships(connection, user_id))
     return found or [audit.SERVER.id]
 
 
-def _record(connection: Any, logs: list[str], action: str, user_id: str) -> None:
-    from lambent_server.accounts import audit
-    from lambent_server.accounts.who import operator
-    from lambent_server.database.tenancy import Tenant
-
+def _record(connection: Connection, logs: list[str], action: str, user_id: str) -> None:
     for tenant_id in logs:
         audit.record(connection, operator(Tenant(tenant_id)), action, user_id)
 
@@ -140,9 +112,6 @@ def _record(connection: Any, logs: list[str], action: str, user_id: str) -> None
 @app.command()
 def disable(user: UserArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
     """Sign somebody out everywhere, and let them in no more; their keys stop working."""
-    from lambent_server.accounts import users
-    from lambent_server.clock import now
-
     with opened(data, database) as services, services.database.write() as connection:
         found = users.require(connection, user)
         users.change_user(connection, found["id"], disabled_at=now())
@@ -155,8 +124,6 @@ def disable(user: UserArgument, data: DataOption = None, database: DatabaseOptio
 @app.command()
 def enable(user: UserArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
     """Let somebody in again; keys stay revoked."""
-    from lambent_server.accounts import users
-
     with opened(data, database) as services, services.database.write() as connection:
         found = users.require(connection, user)
         users.change_user(connection, found["id"], disabled_at=None)
@@ -167,7 +134,7 @@ def enable(user: UserArgument, data: DataOption = None, database: DatabaseOption
 @app.command()
 def delete(
     user: UserArgument,
-    yes: Annotated[bool, typer.Option("--yes", help="Do it; without, what is known is only shown.")] = False,
+    yes: YesOption = False,
     data: DataOption = None,
     database: DatabaseOption = None,
 ) -> None:
@@ -175,8 +142,6 @@ def delete(
 
     The audit log keeps the id of the user, which names nobody any more.
     """
-    from lambent_server.accounts import users
-
     with opened(data, database) as services, services.database.write() as connection:
         found = users.require(connection, user)
         member_of = sorted(row["tenant_id"] for row in users.memberships(connection, found["id"]))
@@ -201,13 +166,6 @@ def create_key(
     database: DatabaseOption = None,
 ) -> None:
     """Print a new key, this once."""
-    from pydantic import ValidationError
-
-    from lambent_server import keys
-    from lambent_server.accounts import audit, organisations, users
-    from lambent_server.accounts.who import operator
-    from lambent_server.database.tenancy import Tenant
-
     tenant = Tenant(org)
     try:
         order = keys.NewKey.model_validate(
@@ -234,10 +192,6 @@ def list_keys(
     as_json: JsonOption = False,
 ) -> None:
     """List keys, without the keys themselves."""
-    from lambent_server import keys
-    from lambent_server.database.schema import api_keys
-    from lambent_server.database.tenancy import across_tenants
-
     statement = across_tenants(api_keys).order_by(api_keys.c.tenant_id, api_keys.c.id.desc())
     if org:
         statement = statement.where(api_keys.c.tenant_id == org)
@@ -247,7 +201,7 @@ def list_keys(
             for row in connection.execute(statement).mappings()
         ]
     names = ("id", "org", "name", "scopes", "last_used_at", "expires_at", "revoked_at")
-    _print(shown, names, as_json)
+    print_rows(shown, names, as_json)
 
 
 @keys_app.command()
@@ -257,13 +211,6 @@ def revoke(
     database: DatabaseOption = None,
 ) -> None:
     """Let a key never work again."""
-    from lambent_server import keys
-    from lambent_server.accounts import audit
-    from lambent_server.accounts.who import operator
-    from lambent_server.database.schema import api_keys
-    from lambent_server.database.tenancy import Tenant, across_tenants
-    from lambent_server.problems import not_found
-
     with opened(data, database) as services, services.database.write() as connection:
         statement = across_tenants(api_keys, api_keys.c.tenant_id).where(api_keys.c.id == key)
         tenant_id = connection.execute(statement).scalar_one_or_none()

@@ -5,8 +5,13 @@ from typing import Annotated, Any
 
 import typer
 
-from lambent_server.admin.opened import JsonOption, age, columns, opened
+from lambent_server import retention
+from lambent_server.accounts import audit, organisations
+from lambent_server.accounts.who import operator
+from lambent_server.admin.opened import JsonOption, YesOption, age, opened, print_rows
 from lambent_server.cli import DatabaseOption, DataOption
+from lambent_server.clock import rfc3339
+from lambent_server.database.tenancy import Tenant
 
 app = typer.Typer(
     add_completion=False,
@@ -33,10 +38,6 @@ def set_rules(
     as_json: JsonOption = False,
 ) -> None:
     """Set rules, and show them. Until --enforce, only `retention run --yes` deletes anything."""
-    from lambent_server.accounts import audit, organisations
-    from lambent_server.accounts.who import operator
-    from lambent_server.database.tenancy import Tenant
-
     tenant = Tenant(org)
     given = {"scenes": scenes, "jobs": jobs, "bundles": bundles, "logs": logs}
     ages = {kind: None if text == NEVER else age(text) for kind, text in given.items() if text}
@@ -60,18 +61,12 @@ def set_rules(
 @app.command()
 def run(
     org: IdArgument,
-    yes: Annotated[bool, typer.Option("--yes", help="Do it; without, what is due is only listed.")] = False,
+    yes: YesOption = False,
     data: DataOption = None,
     database: DatabaseOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Delete what the rules say, or list it."""
-    from lambent_server import retention
-    from lambent_server.accounts import organisations
-    from lambent_server.accounts.who import operator
-    from lambent_server.clock import rfc3339
-    from lambent_server.database.tenancy import Tenant
-
     tenant = Tenant(org)
     with opened(data, database) as services:
         with services.database.read() as connection:
@@ -83,11 +78,6 @@ def run(
             done = yes and retention.delete(services, operator(tenant), each)
             row = {"kind": each.kind, "id": each.id, "since": rfc3339(each.since), "deleted": done}
             shown.append(row)
-    if as_json:
-        for row in shown:
-            typer.echo(json.dumps(row))
-    else:
-        lines = [(row["kind"], row["id"], row["since"], "deleted" if row["deleted"] else "") for row in shown]
-        columns([("KIND", "ID", "SINCE", ""), *lines])
+    print_rows(shown, ("kind", "id", "since", "deleted"), as_json)
     if not yes:
         typer.echo(f"{len(shown)} things are due; nothing was changed: add --yes", err=True)

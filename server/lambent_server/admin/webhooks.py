@@ -1,27 +1,28 @@
 """`lambent admin webhooks`: subscriptions of all tenants, and deliveries that wait or failed."""
 
-import json
 from typing import Annotated, Any
 
 import typer
+from sqlalchemy import Connection
 
-from lambent_server.admin.opened import JsonOption, age, columns, opened
+from lambent_server import webhook_rows
+from lambent_server.accounts import audit
+from lambent_server.accounts.who import operator
+from lambent_server.admin.opened import JsonOption, OlderOption, TenantOption, age, opened, print_rows
 from lambent_server.cli import DatabaseOption, DataOption
+from lambent_server.clock import now
+from lambent_server.database.service_schema import webhook_deliveries, webhooks
+from lambent_server.database.tenancy import Tenant, across_tenants
+from lambent_server.problems import Problem, not_found
+from lambent_server.services import Services
+from lambent_server.webhook_messages import WebhookChange
+from lambent_server.webhook_outbox import host_of
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Webhooks of all tenants, and their deliveries."
 )
-TenantOption = Annotated[str, typer.Option(help="Only of this tenant.")]
 IdArgument = Annotated[str, typer.Argument(metavar="WEBHOOK", help="Id of a subscription.")]
-
-
-def _print(rows: list[dict[str, Any]], names: tuple[str, ...], as_json: bool) -> None:
-    if as_json:
-        for row in rows:
-            typer.echo(json.dumps(row))
-        return
-    texts = [tuple("" if row[name] is None else str(row[name]) for name in names) for row in rows]
-    columns([tuple(name.upper() for name in names), *texts])
+StateOption = Annotated[str, typer.Option(help="Only in this state: pending, delivered, failed.")]
 
 
 @app.command("list")
@@ -32,35 +33,24 @@ def list_webhooks(
     as_json: JsonOption = False,
 ) -> None:
     """List subscriptions; of URLs only the host is shown, for the rest may be a secret."""
-    from lambent_server.database.service_schema import webhooks
-    from lambent_server.database.tenancy import across_tenants
-    from lambent_server.webhook_outbox import host_of
-    from lambent_server.webhook_rows import show
-
     statement = across_tenants(webhooks).order_by(webhooks.c.id)
     if tenant:
         statement = statement.where(webhooks.c.tenant_id == tenant)
     with opened(data, database) as services, services.database.read() as connection:
         rows = [
-            {"tenant": row["tenant_id"], **show(row).model_dump(), "url": host_of(row["url"])}
+            {"tenant": row["tenant_id"], **webhook_rows.show(row).model_dump(), "url": host_of(row["url"])}
             for row in connection.execute(statement).mappings()
         ]
-    _print(rows, ("id", "tenant", "enabled", "disabled_reason", "url", "created_at"), as_json)
+    print_rows(rows, ("id", "tenant", "enabled", "disabled_reason", "url", "created_at"), as_json)
 
 
 @app.command()
 def disable(webhook: IdArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
     """Send nothing more to a subscription; what waits has failed."""
-    from lambent_server.accounts import audit
-    from lambent_server.accounts.who import operator
-    from lambent_server.database.tenancy import Tenant
-    from lambent_server.webhook_rows import ASKED
-    from lambent_server.webhook_rows import disable as disable_row
-
     with opened(data, database) as services, services.database.write() as connection:
         row = _require(connection, webhook)
         tenant = Tenant(row["tenant_id"])
-        disable_row(connection, tenant, webhook, ASKED)
+        webhook_rows.disable(connection, tenant, webhook, webhook_rows.ASKED)
         audit.record(connection, operator(tenant), "webhooks disable", webhook)
     typer.echo(f"{webhook} disabled")
 
@@ -68,25 +58,15 @@ def disable(webhook: IdArgument, data: DataOption = None, database: DatabaseOpti
 @app.command()
 def enable(webhook: IdArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
     """Send to a subscription again."""
-    from lambent_server.accounts import audit
-    from lambent_server.accounts.who import operator
-    from lambent_server.database.tenancy import Tenant
-    from lambent_server.webhook_messages import WebhookChange
-    from lambent_server.webhook_rows import update
-
     with opened(data, database) as services, services.database.write() as connection:
         row = _require(connection, webhook)
         tenant = Tenant(row["tenant_id"])
-        update(connection, tenant, row, WebhookChange(enabled=True), services.settings)
+        webhook_rows.update(connection, tenant, row, WebhookChange(enabled=True), services.settings)
         audit.record(connection, operator(tenant), "webhooks enable", webhook)
     typer.echo(f"{webhook} enabled")
 
 
-def _require(connection: Any, webhook: str) -> dict[str, Any]:
-    from lambent_server.database.service_schema import webhooks
-    from lambent_server.database.tenancy import across_tenants
-    from lambent_server.problems import not_found
-
+def _require(connection: Connection, webhook: str) -> dict[str, Any]:
     found = connection.execute(across_tenants(webhooks).where(webhooks.c.id == webhook)).mappings()
     row = found.one_or_none()
     if row is None:
@@ -94,11 +74,7 @@ def _require(connection: Any, webhook: str) -> dict[str, Any]:
     return dict(row)
 
 
-def _deliveries(services: Any, tenant: str, state: str, older: str) -> list[dict[str, Any]]:
-    from lambent_server.clock import now
-    from lambent_server.database.service_schema import webhook_deliveries
-    from lambent_server.database.tenancy import across_tenants
-
+def _deliveries(services: Services, tenant: str, state: str, older: str) -> list[dict[str, Any]]:
     statement = across_tenants(webhook_deliveries).order_by(webhook_deliveries.c.id.desc()).limit(1000)
     if tenant:
         statement = statement.where(webhook_deliveries.c.tenant_id == tenant)
@@ -108,10 +84,6 @@ def _deliveries(services: Any, tenant: str, state: str, older: str) -> list[dict
         statement = statement.where(webhook_deliveries.c.created_at < now() - age(older))
     with services.database.read() as connection:
         return [dict(row) for row in connection.execute(statement).mappings()]
-
-
-StateOption = Annotated[str, typer.Option(help="Only in this state: pending, delivered, failed.")]
-OlderOption = Annotated[str, typer.Option("--older-than", metavar="AGE", help="Only older: 30m, 12h, 7d.")]
 
 
 @app.command()
@@ -124,19 +96,17 @@ def deliveries(
     as_json: JsonOption = False,
 ) -> None:
     """List the newest 1000 deliveries."""
-    from lambent_server.webhook_rows import show_delivery
-
     with opened(data, database) as services:
         found = _deliveries(services, tenant, state, older)
     rows = []
     for row in found:
-        shown = show_delivery(row)
+        shown = webhook_rows.show_delivery(row)
         last = shown.attempts[-1].error if shown.attempts else ""
         rows.append(
             {"tenant": row["tenant_id"], **shown.model_dump(), "url": row["host"], "last_error": last}
         )
     names = ("id", "tenant", "event", "state", "num_attempts", "last_error", "next_at", "url")
-    _print(rows, names, as_json)
+    print_rows(rows, names, as_json)
 
 
 @app.command()
@@ -148,20 +118,13 @@ def redeliver(
     database: DatabaseOption = None,
 ) -> None:
     """Deliver again what failed; receivers know repeats by the id."""
-    from lambent_server.accounts import audit
-    from lambent_server.accounts.who import operator
-    from lambent_server.database.tenancy import Tenant
-    from lambent_server.problems import Problem
-    from lambent_server.webhook_rows import redeliver as redeliver_row
-    from lambent_server.webhook_rows import require_delivery
-
     with opened(data, database) as services:
         for row in _deliveries(services, tenant, state, older):
             owner = Tenant(row["tenant_id"])
             try:
                 with services.database.write() as connection:
-                    current = require_delivery(connection, owner, row["id"], lock=True)
-                    redeliver_row(connection, owner, current)
+                    current = webhook_rows.require_delivery(connection, owner, row["id"], lock=True)
+                    webhook_rows.redeliver(connection, owner, current)
                     audit.record(connection, operator(owner), "webhooks redeliver", row["id"])
             except Problem as problem:
                 typer.echo(f"{row['id']}: {problem.code}: {problem.detail}", err=True)

@@ -96,6 +96,7 @@ def test_filters_of_jobs(api: Api):
     assert job in admin(api, "jobs", "list", "--kind", "train").stdout
     admin(api, "jobs", "list", "--older-than", "soon", code=2)
     admin(api, "jobs", "list", "--label", "show", code=2)
+    admin(api, "jobs", "list", "--yes", code=2)
 
 
 def test_webhooks_of_all_tenants_are_listed_disabled_and_enabled(api: Api):
