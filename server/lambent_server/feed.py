@@ -19,7 +19,9 @@ from lambent_server.clock import now
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import Tenant, across_tenants
 from lambent_server.http.budget import Budget
+from lambent_server.job_pages import Wanted
 from lambent_server.job_rows import read_events
+from lambent_server.pagination import PageFilter
 from lambent_server.problems import Problem
 from lambent_server.services import Services
 
@@ -183,7 +185,7 @@ class Feed:
 
     def _read_recent(self, tenant: Tenant) -> list[Shown]:
         with self._services.database.read() as connection:
-            found, _ = job_queries.select_page(connection, tenant, limit=RECENT, cursor=None)
+            found, _ = job_queries.select_page(connection, tenant, Wanted(), PageFilter(limit=RECENT))
             shown = job_queries.show_all(connection, tenant, found)
         return [Shown(job.id, job.last_event, encode(job)) for job in shown]
 

@@ -33,6 +33,7 @@ class Wanted:
     labels: Sequence[tuple[str, ...]] = ()
     scene_id: str | None = None
     words: str = ""
+    """Part of the scene's name, in any case, or the beginning of the job's id or its preset's name."""
 
 
 def page(

@@ -6,7 +6,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from sqlalchemy import Connection
+from sqlalchemy import Connection, Select
 
 from lambent_server import bake_rows, bundle_rows, job_counts, label_rows
 from lambent_server.accounts import quotas
@@ -35,7 +35,7 @@ from lambent_server.job_rows import (
 )
 from lambent_server.membership import most_gpus
 from lambent_server.messages import Event, Job, NewJob, Preset
-from lambent_server.pagination import read_page
+from lambent_server.pagination import PageFilter, read_page
 from lambent_server.problems import Detail, Problem, conflict, invalid, not_found
 from lambent_server.services import Services
 from lambent_server.settings import Settings
@@ -336,27 +336,14 @@ def max_gpus(connection: Connection, services: Services) -> int:
 def select_page(
     connection: Connection,
     tenant: Tenant,
+    wanted: Wanted,
+    given: PageFilter,
     *,
-    states: Sequence[str] = (),
-    kinds: Sequence[str] = (),
-    labels: Sequence[tuple[str, ...]] = (),
-    scene_id: str | None = None,
-    words: str = "",
     oldest_first: bool = False,
-    limit: int,
-    cursor: str | None,
 ) -> tuple[list[Row], str | None]:
-    """Return up to `limit` jobs, newest or oldest first, and the cursor of the next page.
+    """Return a page of jobs, newest or oldest first, and the cursor of the next one."""
 
-    `words` are part of the scene's name, in any case, or begin the job's id or its preset's name.
-    """
+    def select_after(after: str | None, num_rows: int) -> Select[Any]:
+        return page(connection, tenant, wanted, after=after, oldest_first=oldest_first, num_rows=num_rows)
 
-    wanted = Wanted(states=states, kinds=kinds, labels=labels, scene_id=scene_id, words=words)
-    return read_page(
-        connection,
-        lambda after, num_rows: page(
-            connection, tenant, wanted, after=after, oldest_first=oldest_first, num_rows=num_rows
-        ),
-        limit=limit,
-        cursor=cursor,
-    )
+    return read_page(connection, select_after, given)

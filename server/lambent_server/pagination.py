@@ -86,24 +86,20 @@ def _unusable() -> Problem:
 
 
 def select_ordered(
-    connection: Connection,
-    statement: Select[Any],
-    columns: Sequence[Column[Any]],
-    *,
-    limit: int,
-    cursor: str | None,
+    connection: Connection, statement: Select[Any], columns: Sequence[Column[Any]], page: PageFilter
 ) -> tuple[list[Row], str | None]:
-    """Return up to `limit` rows in the order of `columns`, and the cursor of the next page.
+    """Return a page of rows in the order of `columns`, and the cursor of the next one.
 
     Together the columns are different in every row.
     """
-    if cursor is not None:
-        statement = statement.where(tuple_(*columns) > tuple_(*_values(cursor, columns)))
-    found = connection.execute(statement.order_by(*columns).limit(limit + 1)).mappings()
+    if page.cursor is not None:
+        statement = statement.where(tuple_(*columns) > tuple_(*_values(page.cursor, columns)))
+    found = connection.execute(statement.order_by(*columns).limit(page.limit + 1)).mappings()
     items = [dict(row) for row in found]
-    if len(items) <= limit:
+    if len(items) <= page.limit:
         return items, None
-    return items[:limit], _cursor(_written([items[limit - 1][column.name] for column in columns]))
+    last = items[page.limit - 1]
+    return items[: page.limit], _cursor(_written([last[column.name] for column in columns]))
 
 
 def _values(cursor: str, columns: Sequence[Column[Any]]) -> list[Any]:
@@ -121,14 +117,9 @@ def _values(cursor: str, columns: Sequence[Column[Any]]) -> list[Any]:
 
 
 def select_newest(
-    connection: Connection,
-    tenant: Tenant,
-    table: Table,
-    *conditions: ColumnElement[bool],
-    limit: int,
-    cursor: str | None,
+    connection: Connection, tenant: Tenant, table: Table, *conditions: ColumnElement[bool], page: PageFilter
 ) -> tuple[list[Row], str | None]:
-    """Return up to `limit` rows, newest first, and the cursor of the next page."""
+    """Return a page of rows, newest first, and the cursor of the next one."""
 
     def select_after(last: str | None, num_rows: int) -> Select[Any]:
         statement = rows(tenant, table).where(*conditions)
@@ -136,21 +127,17 @@ def select_newest(
             statement = statement.where(table.c.id < last)
         return statement.order_by(table.c.id.desc()).limit(num_rows)
 
-    return read_page(connection, select_after, limit=limit, cursor=cursor)
+    return read_page(connection, select_after, page)
 
 
 def read_page(
-    connection: Connection,
-    select_after: Callable[[str | None, int], Select[Any]],
-    *,
-    limit: int,
-    cursor: str | None,
+    connection: Connection, select_after: Callable[[str | None, int], Select[Any]], page: PageFilter
 ) -> tuple[list[Row], str | None]:
-    """Return up to `limit` rows of a query, and the cursor of the next page.
+    """Return a page of a query, and the cursor of the next one.
 
     `select_after` makes the query of so many rows after the row with an id.
     """
-    statement = select_after(None if cursor is None else _id_of(cursor), limit + 1)
+    statement = select_after(None if page.cursor is None else _id_of(page.cursor), page.limit + 1)
     found = [dict(row) for row in connection.execute(statement).mappings()]
-    more = len(found) > limit
-    return found[:limit], _cursor(found[limit - 1]["id"]) if more else None
+    more = len(found) > page.limit
+    return found[: page.limit], _cursor(found[page.limit - 1]["id"]) if more else None

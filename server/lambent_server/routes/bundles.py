@@ -38,12 +38,7 @@ def list_bundles(
     """List bundles, newest first."""
     with services.database.read() as connection:
         found, cursor = select_newest(
-            connection,
-            tenant,
-            bundles,
-            *having(tenant, bundles.c.id, given.label),
-            limit=given.limit,
-            cursor=given.cursor,
+            connection, tenant, bundles, *having(tenant, bundles.c.id, given.label), page=given
         )
         items = bundle_rows.show_all(connection, tenant, found)
     return BundleList(items=items, next_cursor=cursor)
@@ -143,14 +138,7 @@ def list_shares(
     """List the active links of a bundle, newest first."""
     with services.database.read() as connection:
         bundle_rows.require_bundle(connection, tenant, bundle_id)
-        found, cursor = select_newest(
-            connection,
-            tenant,
-            share_rows,
-            *shares.working(bundle_id),
-            limit=given.limit,
-            cursor=given.cursor,
-        )
+        found, cursor = select_newest(connection, tenant, share_rows, *shares.working(bundle_id), page=given)
     return ShareList(items=[_show(request, row) for row in found], next_cursor=cursor)
 
 

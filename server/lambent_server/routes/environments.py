@@ -108,9 +108,7 @@ def list_environments(
 ) -> EnvironmentList:
     """List the environments, newest first."""
     with services.database.read() as connection:
-        found, cursor = select_newest(
-            connection, tenant, environments, limit=given.limit, cursor=given.cursor
-        )
+        found, cursor = select_newest(connection, tenant, environments, page=given)
     return EnvironmentList(items=[_show(row) for row in found], next_cursor=cursor)
 
 

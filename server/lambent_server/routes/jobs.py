@@ -18,6 +18,7 @@ from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.estimates import estimate
 from lambent_server.feed import Feed, Subscription
 from lambent_server.idempotency import made_before, point_to
+from lambent_server.job_pages import Wanted
 from lambent_server.job_rows import CANCELLED, FAILED, FINAL, SUCCEEDED
 from lambent_server.messages import (
     Artifact,
@@ -102,18 +103,15 @@ def estimate_job(services: ServicesOf, tenant: TenantOf, body: NewEstimate) -> E
 def list_jobs(services: ServicesOf, tenant: TenantOf, given: Annotated[JobFilter, Query()]) -> JobList:
     """List jobs, newest first unless `sort` says otherwise."""
     with services.database.read() as connection:
-        found, cursor = job_queries.select_page(
-            connection,
-            tenant,
+        wanted = Wanted(
             states=given.state,
             kinds=given.kind,
             labels=[tuple(each.split("=", 1)) for each in given.label],
             scene_id=given.scene,
             words=given.q.strip(),
-            oldest_first=given.sort == "oldest",
-            limit=given.limit,
-            cursor=given.cursor,
         )
+        oldest_first = given.sort == "oldest"
+        found, cursor = job_queries.select_page(connection, tenant, wanted, given, oldest_first=oldest_first)
         items = job_queries.show_all(connection, tenant, found)
     return JobList(items=items, next_cursor=cursor)
 
@@ -231,8 +229,7 @@ def list_events(
             connection,
             rows(tenant, events).where(events.c.job_id == job_id, events.c.seq > given.after),
             [events.c.seq],
-            limit=given.limit,
-            cursor=given.cursor,
+            page=given,
         )
     return EventList(items=[job_queries.show_event(row) for row in found], next_cursor=cursor)
 
@@ -270,8 +267,7 @@ def list_artifacts(
             connection,
             rows(tenant, artifacts).where(artifacts.c.job_id == job_id),
             [artifacts.c.name],
-            limit=given.limit,
-            cursor=given.cursor,
+            page=given,
         )
         items = [
             Artifact(

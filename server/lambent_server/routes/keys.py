@@ -45,7 +45,7 @@ def list_keys(
     """List the keys, newest first, including revoked ones."""
     require_key(request, _WHAT)
     with services.database.read() as connection:
-        found, cursor = select_newest(connection, tenant, api_keys, limit=given.limit, cursor=given.cursor)
+        found, cursor = select_newest(connection, tenant, api_keys, page=given)
     return KeyList(items=[keys.show(row) for row in found], next_cursor=cursor)
 
 

@@ -107,9 +107,7 @@ def list_audit_entries(
     if given.until is not None:
         conditions.append(audit_entries.c.at < given.until.timestamp())
     with services.database.read() as connection:
-        found, cursor = select_newest(
-            connection, tenant, audit_entries, *conditions, limit=given.limit, cursor=given.cursor
-        )
+        found, cursor = select_newest(connection, tenant, audit_entries, *conditions, page=given)
     return AuditEntryList(items=[show_entry(row) for row in found], next_cursor=cursor)
 
 

@@ -67,12 +67,7 @@ def list_batches(services: ServicesOf, tenant: TenantOf, given: Annotated[PageFi
     """List batches, newest first."""
     with services.database.read() as connection:
         found, cursor = select_newest(
-            connection,
-            tenant,
-            render_orders,
-            render_orders.c.kind == render_rows.BATCH,
-            limit=given.limit,
-            cursor=given.cursor,
+            connection, tenant, render_orders, render_orders.c.kind == render_rows.BATCH, page=given
         )
         return BatchList(
             items=[render_rows.show(connection, tenant, row) for row in found], next_cursor=cursor
@@ -134,8 +129,7 @@ def list_batch_artifacts(
             connection,
             rows(tenant, artifacts).where(artifacts.c.job_id.in_(identifiers)),
             [artifacts.c.name, artifacts.c.job_id],
-            limit=given.limit,
-            cursor=given.cursor,
+            page=given,
         )
         names = ("job_id", "name", "sha256", "size_bytes", "media_type")
         items = [

@@ -54,12 +54,7 @@ def list_scenes(services: ServicesOf, tenant: TenantOf, given: Annotated[LabelFi
     """List scenes, newest first."""
     with services.database.read() as connection:
         found, cursor = select_newest(
-            connection,
-            tenant,
-            scenes,
-            *having(tenant, scenes.c.id, given.label),
-            limit=given.limit,
-            cursor=given.cursor,
+            connection, tenant, scenes, *having(tenant, scenes.c.id, given.label), page=given
         )
     return SceneList(items=[scene_rows.show(row) for row in found], next_cursor=cursor)
 

@@ -66,7 +66,7 @@ def list_webhooks(
 ) -> WebhookList:
     """List subscriptions, newest first."""
     with services.database.read() as connection:
-        found, cursor = select_newest(connection, tenant, webhooks, limit=given.limit, cursor=given.cursor)
+        found, cursor = select_newest(connection, tenant, webhooks, page=given)
     return WebhookList(items=[webhook_rows.show(row) for row in found], next_cursor=cursor)
 
 
@@ -164,14 +164,7 @@ def list_deliveries(
     columns = {"webhook_id": given.webhook, "job_id": given.job, "state": given.state}
     conditions = [webhook_deliveries.c[name] == value for name, value in columns.items() if value is not None]
     with services.database.read() as connection:
-        found, cursor = select_newest(
-            connection,
-            tenant,
-            webhook_deliveries,
-            *conditions,
-            limit=given.limit,
-            cursor=given.cursor,
-        )
+        found, cursor = select_newest(connection, tenant, webhook_deliveries, *conditions, page=given)
     return DeliveryList(items=[webhook_rows.show_delivery(row) for row in found], next_cursor=cursor)
 
 

@@ -8,6 +8,8 @@ import pytest
 from lambent_server import job_queries
 from lambent_server.database.schema import scenes
 from lambent_server.database.tenancy import change
+from lambent_server.job_pages import Wanted
+from lambent_server.pagination import PageFilter
 from sqlalchemy import event
 from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
 
@@ -99,13 +101,13 @@ def test_a_page_of_one_state_reads_an_index_and_a_page_takes_the_same_few_querie
         told: list[tuple[str, Any]] = []
         with api.services.database.read() as connection:
             event.listen(connection, "before_cursor_execute", lambda *given: told.append(given[2:4]))
-            found, _ = job_queries.select_page(connection, TENANT, states=["failed"], limit=50, cursor=None)
+            found, _ = job_queries.select_page(connection, TENANT, Wanted(states=["failed"]), PageFilter())
             assert found == []
             statement, values = next(each for each in told if each[0].startswith("SELECT"))
             plan = connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {statement}", values).all()
             assert "ix_jobs_tenant_id_state_id" in str(plan)
             told.clear()
-            found, _ = job_queries.select_page(connection, TENANT, limit=50, cursor=None)
+            found, _ = job_queries.select_page(connection, TENANT, Wanted(), PageFilter())
             assert len(job_queries.show_all(connection, TENANT, found)) == 30
             # The jobs, and the scenes of all of them.
             assert len(told) == 2
