@@ -133,7 +133,7 @@ def evaluate(
     shutil.copytree(out / "run" / "scene", probe / "scene")
     last = last_training_task(spec.config)
     copy_checkpoint(checkpoint.folder, probe / last / f"step_{checkpoint.step:07d}")
-    (probe / "steps").mkdir()
+    (probe / "tasks").mkdir()
     finish_task(probe, last, f"{done_inputs(out / 'run', last)} {checkpoint.name}")
     relight = []
     if arguments.environments and checkpoint.stage:

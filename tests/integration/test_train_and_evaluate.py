@@ -148,7 +148,7 @@ def test_a_scene_in_another_light_cannot_be_compared(run_dir, tmp_path):
 def test_a_run_that_is_not_finished_is_not_evaluated(run_dir, tmp_path):
     unfinished = tmp_path / "run"
     shutil.copytree(run_dir, unfinished)
-    (unfinished / "steps" / "joint.done.json").unlink()
+    (unfinished / "tasks" / "joint.done.json").unlink()
     with pytest.raises(UsageError, match=r"run\.not_trained"):
         evaluate_run(unfinished, SCENE, tmp_path / "out", REQUEST, device="", reporter=RecordingReporter())
 

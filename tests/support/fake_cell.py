@@ -22,11 +22,11 @@ def main() -> int:
     if cell["ablation"] == "slow" and kind == "cell":
         return wait(folder)
     if kind == "stage-one":
-        steps = stage_one / "steps"
+        steps = stage_one / "tasks"
         steps.mkdir(parents=True, exist_ok=True)
         (steps / "cache.done.json").write_text(json.dumps({"sha256": cell["stage_one"]}))
     else:
-        assert (stage_one / "steps" / "cache.done.json").is_file(), "started before its stage one"
+        assert (stage_one / "tasks" / "cache.done.json").is_file(), "started before its stage one"
         (folder / "result.json").write_text(json.dumps({"inputs": cell["inputs"], "report": {"metrics": []}}))
     return 0
 

@@ -109,16 +109,16 @@ def discard_predictions(report: Path) -> None:
 
 def adopt(stage_one: Path, run_dir: Path) -> None:
     """Let a run start from another run's stage one, by links to its files or, failing that, copies."""
-    if (run_dir / "steps" / "cache.done.json").exists():
+    if (run_dir / "tasks" / "cache.done.json").exists():
         return
     for name in SHARED:
         shutil.rmtree(run_dir / name, ignore_errors=True)
         shutil.copytree(stage_one / name, run_dir / name, copy_function=link_or_copy)
-    (run_dir / "steps").mkdir(exist_ok=True)
+    (run_dir / "tasks").mkdir(exist_ok=True)
     for task in SHARED_TASKS:
         for kind in ("inputs", "done"):
             shutil.copyfile(
-                stage_one / "steps" / f"{task}.{kind}.json", run_dir / "steps" / f"{task}.{kind}.json"
+                stage_one / "tasks" / f"{task}.{kind}.json", run_dir / "tasks" / f"{task}.{kind}.json"
             )
 
 

@@ -6,9 +6,9 @@ known_lights/ masks/            copies of the user's files
 cameras/ scene/ estimated_masks/ cache/ joint/ polish/ evaluation/
 bundle/
                                 results of the tasks, a folder each
-steps/<task>.inputs.json        hash of everything the task's files are made from, written before the first,
+tasks/<task>.inputs.json        hash of everything the task's files are made from, written before the first,
                                 and the seconds it has taken
-steps/<task>.done.json          the same hash, written after the last
+tasks/<task>.done.json          the same hash, written after the last
 """
 
 import shutil
@@ -42,12 +42,12 @@ def task_folder(run_dir: Path, task: str) -> Path:
 
 def done_inputs(run_dir: Path, task: str) -> str | None:
     """Return the hash of the inputs that a task has finished with, or None where it has not."""
-    return _read_hash(run_dir / "steps" / f"{task}.done.json")
+    return _read_hash(run_dir / "tasks" / f"{task}.done.json")
 
 
 def begun_inputs(run_dir: Path, task: str) -> str | None:
     """Return the hash of the inputs that a task was begun with, or None where it never was."""
-    return _read_hash(run_dir / "steps" / f"{task}.inputs.json")
+    return _read_hash(run_dir / "tasks" / f"{task}.inputs.json")
 
 
 def require_done(run_dir: Path, task: str) -> str:
@@ -66,7 +66,7 @@ def begin_task(run_dir: Path, task: str, inputs: str) -> None:
 
     A folder of unknown inputs is kept: that is how checkpoints look that were brought from elsewhere.
     """
-    marker = run_dir / "steps" / f"{task}.inputs.json"
+    marker = run_dir / "tasks" / f"{task}.inputs.json"
     if _read_hash(marker) not in (None, inputs):
         _clear(task_folder(run_dir, task), LASTING.get(task, frozenset()))
         marker.unlink()
@@ -87,19 +87,19 @@ def _clear(folder: Path, kept: frozenset[str]) -> None:
 
 def add_task_seconds(run_dir: Path, task: str, seconds: float) -> None:
     """Add the time of one sitting to the total of a task; a killed sitting does not count."""
-    marker = run_dir / "steps" / f"{task}.inputs.json"
+    marker = run_dir / "tasks" / f"{task}.inputs.json"
     record = read_record(marker)
     write_json(marker, {**record, "seconds": round(record.get("seconds", 0.0) + seconds, 3)})
 
 
 def finish_task(run_dir: Path, task: str, inputs: str) -> None:
     """Note that a task has finished."""
-    write_json(run_dir / "steps" / f"{task}.done.json", {"sha256": inputs})
+    write_json(run_dir / "tasks" / f"{task}.done.json", {"sha256": inputs})
 
 
 def task_seconds(run_dir: Path) -> dict[str, float]:
     """Return the time in seconds that each task of a run has taken so far, over all sittings."""
-    found = {task: read_record(run_dir / "steps" / f"{task}.inputs.json") for task in TASK_FOLDERS}
+    found = {task: read_record(run_dir / "tasks" / f"{task}.inputs.json") for task in TASK_FOLDERS}
     return {task: float(record["seconds"]) for task, record in found.items() if "seconds" in record}
 
 

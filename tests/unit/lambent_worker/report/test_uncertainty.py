@@ -165,7 +165,7 @@ def test_a_map_looks_up_the_surface_that_pixels_show(model, grid):
 
 def test_a_run_keeps_what_was_measured_until_it_is_trained_again(tmp_path, grid):
     (tmp_path / "evaluation").mkdir()
-    (tmp_path / "steps").mkdir()
+    (tmp_path / "tasks").mkdir()
     finish_task(tmp_path, "joint", "one")
     assert kept_uncertainty(tmp_path) is None
     keep_uncertainty(tmp_path, grid)
@@ -223,7 +223,7 @@ def test_confidence_is_used_where_a_finished_polish_has_left_it(tmp_path):
     )
     folder = task_folder(on.run_dir, "polish")
     folder.mkdir(parents=True)
-    (on.run_dir / "steps").mkdir()
+    (on.run_dir / "tasks").mkdir()
     polished([[0.0, 0.0, 0.0]]).save(folder / FILE)
     assert polished_confidence(on) is None
     finish_task(on.run_dir, "polish", "inputs")
