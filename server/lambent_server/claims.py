@@ -7,13 +7,11 @@ point: a claim that stays behind as "deleting" is finished by the next sweep. Ro
 removed under the lock only, and the claim is locked before any of them.
 """
 
-from importlib import import_module
-from typing import Any
-
 from sqlalchemy import Connection, RowMapping, delete, select, update
 
 from lambent_server.clock import new_id, now
 from lambent_server.database.blob_tables import blob_claims
+from lambent_server.database.columns import insert_or
 from lambent_server.database.schema import blobs, garbage
 from lambent_server.database.tenancy import Tenant, across_tenants, remove
 
@@ -88,10 +86,9 @@ def announced(connection: Connection) -> list[tuple[str, str]]:
 
 def _lock(connection: Connection, sha256: str) -> RowMapping:
     """Return the claim on a hash, locked until the end of the transaction; made if there is none."""
-    kind: Any = import_module(f"sqlalchemy.dialects.{connection.dialect.name}").insert
     values = {"sha256": sha256, "state": KEPT, "token": new_id("claim"), "claimed_at": 0.0}
     while True:
-        connection.execute(kind(blob_claims).values(values).on_conflict_do_nothing())
+        connection.execute(insert_or(connection, blob_claims).values(values).on_conflict_do_nothing())
         row = _find(connection, sha256)
         # Between the two a deletion may have ended.
         if row is not None:

@@ -6,12 +6,11 @@ deleted, and only then does it no longer count.
 """
 
 from collections.abc import Collection, Mapping
-from importlib import import_module
-from typing import Any
 
 from sqlalchemy import Connection, RowMapping, case, delete
 
 from lambent_server.clock import now
+from lambent_server.database.columns import insert_or
 from lambent_server.database.service_schema import upload_reservations
 from lambent_server.database.tenancy import Tenant, across_tenants, change, rows
 from lambent_server.settings import Settings
@@ -32,8 +31,7 @@ def keep(connection: Connection, tenant: Tenant, sizes: Mapping[str, int], setti
     if not sizes:
         return
     expires_at = now() + max(settings.store_reserved_s, settings.store_url_s)
-    kind: Any = import_module(f"sqlalchemy.dialects.{connection.dialect.name}").insert
-    statement = kind(upload_reservations)
+    statement = insert_or(connection, upload_reservations)
     new, old = statement.excluded, upload_reservations.c
     # Of two sizes the larger: the earlier address may be the one that is used.
     size = case((new.size_bytes > old.size_bytes, new.size_bytes), else_=old.size_bytes)

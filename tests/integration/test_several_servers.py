@@ -289,7 +289,7 @@ def test_jobs_go_on_while_a_newer_server_migrates_and_old_ones_are_restarted(
             # What a newer version may do beside this one: add, and say whom it serves.
             connection.execute(text("ALTER TABLE jobs ADD COLUMN novelty TEXT"))
             connection.execute(text("CREATE TABLE novelties (id TEXT PRIMARY KEY)"))
-            connection.execute(text("UPDATE alembic_version SET version_num = '9998'"))
+            connection.execute(text("UPDATE alembic_version SET version_num = 'r9998'"))
         for server in (first, second):
             server.end()
             server.start()
@@ -300,10 +300,10 @@ def test_jobs_go_on_while_a_newer_server_migrates_and_old_ones_are_restarted(
         assert [(job["state"], job["run"]) for job in found] == [("succeeded", 1)] * 5
         with engine.begin() as connection:
             # And one that has removed what this version needs.
-            connection.execute(text("UPDATE schema_info SET value = '9998' WHERE name = 'compatible_from'"))
+            connection.execute(text("UPDATE schema_info SET value = 'r9998' WHERE name = 'compatible_from'"))
         engine.dispose()
         first.end()
         with pytest.raises(AssertionError):
             first.start()
-        assert "9998" in (tmp_path / "a-server-3.log").read_text()
+        assert "r9998" in (tmp_path / "a-server-3.log").read_text()
         assert second.client.get("/readyz").status_code == 200

@@ -1,11 +1,10 @@
 """Running sums of what organisations use: bytes that they store, GPU seconds of each month."""
 
 from datetime import UTC, datetime
-from importlib import import_module
-from typing import Any
 
 from sqlalchemy import Connection
 
+from lambent_server.database.columns import insert_or
 from lambent_server.database.people_schema import usage_sums
 from lambent_server.database.tenancy import Tenant, rows
 
@@ -39,8 +38,7 @@ def add_gpu_time(connection: Connection, tenant: Tenant, gpus: int, began: float
 
 
 def _add(connection: Connection, tenant: Tenant, name: str, more: float) -> None:
-    kind: Any = import_module(f"sqlalchemy.dialects.{connection.dialect.name}").insert
-    statement = kind(usage_sums).values(tenant_id=tenant.id, name=name, amount=more)
+    statement = insert_or(connection, usage_sums).values(tenant_id=tenant.id, name=name, amount=more)
     connection.execute(
         statement.on_conflict_do_update(
             index_elements=[usage_sums.c.tenant_id, usage_sums.c.name],

@@ -1,5 +1,8 @@
 """The kinds of columns that tables have, the registry of all tables, and the clock of the database."""
 
+from importlib import import_module
+from typing import Any
+
 from sqlalchemy import (
     Column,
     ColumnElement,
@@ -7,6 +10,7 @@ from sqlalchemy import (
     Double,
     Integer,
     MetaData,
+    Table,
     Text,
     cast,
     extract,
@@ -54,6 +58,12 @@ def optional_text_column(name: str) -> Column[str | None]:
 def optional_time_column(name: str) -> Column[float | None]:
     """Return a column of a time or null."""
     return Column(name, Double)
+
+
+def insert_or(connection: Connection, table: Table) -> Any:
+    """Return an INSERT into `table` that can say what happens where the key exists (`on_conflict_...`)."""
+    # The engine has imported one of them already; the other would only cost start-up time.
+    return import_module(f"sqlalchemy.dialects.{connection.dialect.name}").insert(table)
 
 
 def next_number(connection: Connection, column: Column[int]) -> ColumnElement[int]:

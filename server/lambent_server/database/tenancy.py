@@ -1,7 +1,6 @@
 """The only statements that routes may build: each is limited to the rows of one tenant."""
 
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 from sqlalchemy import (
@@ -18,6 +17,8 @@ from sqlalchemy import (
     select,
     update,
 )
+
+from lambent_server.database.columns import insert_or
 
 DEFAULT_TENANT_ID = "default"
 
@@ -67,9 +68,7 @@ def add_if_absent(connection: Connection, tenant: Tenant, table: Table, **values
 
     If another transaction is about to insert the same key, this waits for its end.
     """
-    # The engine has imported one of them already; the other would only cost start-up time.
-    kind: Any = import_module(f"sqlalchemy.dialects.{connection.dialect.name}").insert
-    statement = kind(table).values(tenant_id=tenant.id, **values).on_conflict_do_nothing()
+    statement = insert_or(connection, table).values(tenant_id=tenant.id, **values).on_conflict_do_nothing()
     return connection.execute(statement.returning(table.c.tenant_id)).first() is not None
 
 
