@@ -5,30 +5,19 @@ import unicodedata
 from collections.abc import Iterator
 from pathlib import PurePosixPath
 
+from lambent_core.layouts import OWN_FILES, PICTURE_SUFFIXES, TABLE_SUFFIXES
+
 from lambent_server.api.problems import invalid
 
 MAX_PATH_CHARACTERS = 240
 MAX_PART_BYTES = 255
-# Pictures, poses and tables. Anything else is never stored, let alone loaded.
-SCENE_SUFFIXES = frozenset(
-    {
-        *(".avif", ".bmp", ".exr", ".hdr", ".heic", ".heif", ".jpeg", ".jpg", ".png", ".tif", ".tiff"),
-        ".webp",
-        # Raw formats of cameras, for a worker with the extra `raw`.
-        *(".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".srf", ".sr2", ".raf", ".orf", ".rw2"),
-        *(".pef", ".srw", ".x3f", ".3fr", ".fff", ".iiq", ".erf", ".mrw", ".rwl", ".raw"),
-        *(".bin", ".csv", ".json", ".npy", ".txt"),
-    }
-)
-# The cameras of Glossy Synthetic are pickles; the worker reads numbers out of them and runs nothing.
-_CAMERA_PICKLE = re.compile(r"(\d{1,6}-camera|synthetic_split_\d{1,6})\.pkl")
+SCENE_SUFFIXES = PICTURE_SUFFIXES | TABLE_SUFFIXES
 _FORBIDDEN = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')
 _RESERVED = re.compile(r"(?i)(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[\d¹²³]) *(\..*)?")
 # What HFS+ leaves out where it compares names, and other characters without a picture of their own.
 _IGNORED = re.compile(
     "[\u00ad\u034f\u061c\u180b-\u180f\u200b-\u200f\u202a-\u202e\u2060-\u206f\ufe00-\ufe0f\ufeff]"
 )
-_NOT_PICTURES = frozenset({".bin", ".csv", ".json", ".npy", ".txt"})
 _ARCHIVES = (".zip", ".tar", ".tgz", ".tbz2", ".txz", ".gz", ".bz2", ".xz", ".zst", ".7z", ".rar")
 
 
@@ -120,7 +109,7 @@ def clash_with(path: str) -> str:
 
 def is_picture(path: str) -> bool:
     """Return whether a file of this name can be a picture of a scene."""
-    return is_scene_file(path) and PurePosixPath(path).suffix.lower() not in _NOT_PICTURES | {".pkl"}
+    return is_scene_file(path) and PurePosixPath(path).suffix.lower() in PICTURE_SUFFIXES
 
 
 def is_archive(path: str) -> bool:
@@ -132,5 +121,5 @@ def is_scene_file(path: str) -> bool:
     """Return whether a file of this name can belong to a scene."""
     pure = PurePosixPath(path)
     hidden = any(part.startswith(".") or part == "__MACOSX" for part in pure.parts)
-    known = pure.suffix.lower() in SCENE_SUFFIXES or _CAMERA_PICKLE.fullmatch(pure.name) is not None
+    known = pure.suffix.lower() in SCENE_SUFFIXES or any(own.fullmatch(pure.name) for own in OWN_FILES)
     return known and not hidden

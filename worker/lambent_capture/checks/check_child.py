@@ -51,12 +51,13 @@ def check(
     folder: Path, layout: str | None, masks: Path | None, cameras: Path | None, killers: Mapping[str, str]
 ) -> None:
     """Look at a capture and tell what was found."""
+    from lambent_core.layouts import PHOTOGRAPHS
+
     from lambent_capture.checks.photograph_check import check_photographs
-    from lambent_capture.layouts import photographs
     from lambent_capture.layouts.detect import detect_layout
     from lambent_capture.loading.inspect import inspect_files
 
-    if cameras is None and (layout or detect_layout(folder)) == photographs.NAME:
+    if cameras is None and (layout or detect_layout(folder)) == PHOTOGRAPHS:
         looked = check_photographs(folder, masks, killers, announce)
         tell("left_out", looked.left_out)
         if looked.figures is not None:

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float64
+from lambent_core.layouts import BENCHMARKS
 from lambent_core.measured import measured
 from lambent_proto.v1 import capture_pb2, scene_pb2
 from numpy import ndarray
 
-from lambent_capture.layouts import glossy_synthetic, openillumination, tensoir_synthetic
 from lambent_capture.problems import Problems
 
 NOISE_SHARE = 0.33
@@ -23,7 +23,6 @@ LEAST_SHARE = 0.5
 """Share of an offset that must be left after shrinking for any to be believed."""
 CONTRADICTED = 0.25
 """Files contradict their pictures where without what they say at most this share of the variance is left."""
-FIXED_LAYOUTS = (tensoir_synthetic.NAME, openillumination.NAME, glossy_synthetic.NAME)
 """Data sets whose exposure is fixed, and known to be."""
 
 
@@ -35,7 +34,7 @@ def even_out_exposure(
     `figures` were measured with the exposures that `manifest` has now, and with masks. Only captures under
     one light are evened out: under several, what a change of light does looks like a change of exposure.
     """
-    if len(manifest.lights) != 1 or manifest.layout in FIXED_LAYOUTS or not figures.has_hull:
+    if len(manifest.lights) != 1 or manifest.layout in BENCHMARKS or not figures.has_hull:
         return
     by_name = {view.name: view for view in figures.views}
     if any(frame.name not in by_name or not by_name[frame.name].pictures for frame in manifest.frames):

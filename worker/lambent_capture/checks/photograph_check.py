@@ -4,12 +4,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from lambent_core.layouts import PHOTOGRAPHS
 from lambent_proto.v1 import capture_pb2, scene_pb2
 
 from lambent_capture.checks.photograph_findings import note_photographs
 from lambent_capture.checks.photograph_limits import PhotographLimits
 from lambent_capture.checks.photographs import PhotographsFigures, look
-from lambent_capture.layouts import photographs
 from lambent_capture.layouts.detect import collect_scene
 from lambent_capture.layouts.unread_formats import note_unread
 from lambent_capture.loading.inspect import note_unsupported
@@ -46,7 +46,7 @@ def check_photographs(
     cameras are not looked for.
     """
     problems = Problems()
-    manifest = collect_scene(folder, photographs.NAME, problems, masks)
+    manifest = collect_scene(folder, PHOTOGRAPHS, problems, masks)
     note_unsupported(folder, set(), problems)
     note_unread(folder, problems)
     frames = [] if manifest is None else list(manifest.frames)
@@ -58,7 +58,7 @@ def check_photographs(
     usable = problems.usable and seen is not None
     report = scene_pb2.SceneReport(
         usable=usable,
-        layout=photographs.NAME,
+        layout=PHOTOGRAPHS,
         findings=problems.findings(),
         num_train_frames=len(frames) - (len(seen.left_out) if seen is not None else 0),
     )

@@ -6,15 +6,14 @@ Cameras that are passed over without a word would be solved again, from photogra
 import fnmatch
 from pathlib import Path, PurePosixPath
 
-from lambent_capture.layouts import colmap, nerf_blender, nerfstudio, polycam
+from lambent_core.layouts import LAYOUTS
+
 from lambent_capture.layouts.colmap_places import folders_below, images_file, names_in
+from lambent_capture.layouts.readers import reader_of
 from lambent_capture.problems import Problems
 from lambent_capture.scenes.frames import listed
 from lambent_capture.scenes.reading import ROOT
 from lambent_capture.scenes.rig import MIN_TRAIN_FRAMES
-
-READERS = {reader.NAME: reader for reader in (nerf_blender, nerfstudio, colmap, polycam)}
-"""Layouts whose cameras may lie in a folder of the capture."""
 
 _ABOVE = (
     *("transforms.json", "transforms_train.json", "poses_bounds.npy"),
@@ -50,8 +49,7 @@ def place_of(folder: Path, layout: str) -> PurePosixPath:
 
     It is the capture's own where these have them, or where no folder is the only one.
     """
-    reader = READERS.get(layout)
-    if reader is None or reader.is_layout(folder):
+    if not LAYOUTS[layout].nested or reader_of(layout).is_layout(folder):
         return ROOT
     places = [place for place, name in deeper(folder) if name == layout]
     return places[0] if len(places) == 1 else ROOT
@@ -63,7 +61,7 @@ def deeper_layout(folder: Path) -> str | None:
     if len(places) != 1:
         return None
     place, layout = places[0]
-    capture = READERS[layout].read_capture(folder, Problems(), place)
+    capture = reader_of(layout).read_capture(folder, Problems(), place)
     return layout if len(capture.frames) >= MIN_TRAIN_FRAMES else None
 
 
@@ -73,7 +71,8 @@ def deeper(folder: Path) -> list[tuple[PurePosixPath, str]]:
     for place in folders_below(folder):
         if any(place.is_relative_to(other) for other, _ in found) or _is_of_a_run(folder / place):
             continue
-        layout = next((name for name, reader in READERS.items() if reader.is_layout(folder / place)), None)
+        nested = (name for name, known in LAYOUTS.items() if known.nested)
+        layout = next((name for name in nested if reader_of(name).is_layout(folder / place)), None)
         if layout is not None:
             found.append((place, layout))
     return found
@@ -107,7 +106,7 @@ def note_passed_over(folder: Path, problems: Problems) -> None:
         )
     for place, layout in places if len(places) == 1 else []:
         faults = Problems()
-        READERS[layout].read_capture(folder, faults, place)
+        reader_of(layout).read_capture(folder, faults, place)
         reason = next((finding.message for finding in faults.findings()), "they are too few")
         problems.warning(
             "scene.cameras_unused",

@@ -43,7 +43,6 @@ from lambent_capture.scenes.links import link_out, note_links
 from lambent_capture.scenes.reading import ROOT, inside_folder, pose_from_world_to_camera
 
 NAME = "colmap"
-LOOKS_LIKE = "sparse/0/images.bin or .txt"
 
 MASKS = "masks"
 

@@ -6,20 +6,12 @@ from types import MappingProxyType
 
 import numpy as np
 from lambent_core.errors import SceneRefusedError, UsageError
+from lambent_core.layouts import LAYOUTS, PHOTOGRAPHS
 from lambent_proto.v1 import scene_pb2
 
-from lambent_capture.layouts import (
-    camera_places,
-    colmap,
-    glossy_synthetic,
-    nerf_blender,
-    nerfstudio,
-    openillumination,
-    photographs,
-    polycam,
-    tensoir_synthetic,
-)
+from lambent_capture.layouts import camera_places, photographs
 from lambent_capture.layouts.mask_folder import attach_masks, attach_masks_beside
+from lambent_capture.layouts.readers import reader_of
 from lambent_capture.layouts.unread_formats import note_only_unread
 from lambent_capture.problems import Problems
 from lambent_capture.scenes.capture import Capture
@@ -30,28 +22,9 @@ from lambent_capture.scenes.links import refuse_links, settle_linked
 from lambent_capture.scenes.lost_frames import settle_lost, without_pictures
 from lambent_capture.scenes.rig import check_rig
 from lambent_capture.scenes.silhouette_check import fit_to_silhouettes, training_silhouettes
-from lambent_capture.scenes.world import FIXED_WORLDS, bring_near, settle, stand_upright
+from lambent_capture.scenes.world import bring_near, settle, stand_upright
 
 SCHEMA_VERSION = "1.0"
-
-# A folder may satisfy two readers; the richer layout comes first.
-READERS = {
-    reader.NAME: reader
-    for reader in (
-        tensoir_synthetic,
-        openillumination,
-        glossy_synthetic,
-        nerf_blender,
-        nerfstudio,
-        colmap,
-        polycam,
-        photographs,
-    )
-}
-LAYOUTS = tuple(READERS)
-CAMERA_LAYOUTS = frozenset(camera_places.READERS)
-TOLERANT_LAYOUTS = CAMERA_LAYOUTS | {photographs.NAME}
-"""Layouts in which a few pictures may be missing or broken; benchmarks with several lights are strict."""
 
 
 def detect_layout(folder: Path, *, look_deeper: bool = True) -> str | None:
@@ -61,11 +34,11 @@ def detect_layout(folder: Path, *, look_deeper: bool = True) -> str | None:
     """
     if not folder.is_dir():
         return None
-    readers = {name: reader for name, reader in READERS.items() if reader is not photographs}
-    layout = next((name for name, reader in readers.items() if reader.is_layout(folder)), None)
+    with_cameras = (name for name, layout in LAYOUTS.items() if not layout.finds_cameras)
+    layout = next((name for name in with_cameras if reader_of(name).is_layout(folder)), None)
     if layout is None and look_deeper:
         layout = camera_places.deeper_layout(folder)
-    return layout or (photographs.NAME if photographs.is_layout(folder) else None)
+    return layout or (PHOTOGRAPHS if photographs.is_layout(folder) else None)
 
 
 def require_layout(layout: str | None) -> None:
@@ -90,7 +63,7 @@ def collect_scene(
     `layout` forces a reader instead of detecting one; a name that is not in `LAYOUTS` is a `UsageError`.
     `masks` is a folder of masks that override those of the layout, `cameras` one of cameras that were found
     for photographs. Photographs whose cameras are not found yet have frames without cameras, and no bounds.
-    `broken` says what is wrong with pictures that cannot be decoded. In `TOLERANT_LAYOUTS` frames whose
+    `broken` says what is wrong with pictures that cannot be decoded. In tolerant layouts frames whose
     pictures are missing or broken are left out with a note, as long as they are few.
     """
     require_layout(layout)
@@ -105,28 +78,29 @@ def collect_scene(
     if layout is None and not note_only_unread(folder, problems):
         return None
     if layout is None:
-        looked_for = "; ".join(f"{reader.LOOKS_LIKE} ({name})" for name, reader in READERS.items())
+        looked_for = "; ".join(f"{known.looks_like} ({name})" for name, known in LAYOUTS.items())
         problems.error(
             "scene.layout_unknown",
             f"none of these was found: {looked_for}; see docs/howto/own-photographs.md",
         )
         return None
-    if layout not in TOLERANT_LAYOUTS and not refuse_links(folder, problems):
+    known = LAYOUTS[layout]
+    if not known.tolerant and not refuse_links(folder, problems):
         return None
-    if layout == photographs.NAME:
+    if known.finds_cameras:
         capture = photographs.read_capture(folder, problems, cameras)
         if cameras is None:
             camera_places.note_passed_over(folder, problems)
-    elif layout in CAMERA_LAYOUTS:
+    elif known.nested:
         place = camera_places.place_of(folder, layout)
-        capture = camera_places.READERS[layout].read_capture(folder, problems, place)
+        capture = reader_of(layout).read_capture(folder, problems, place)
         camera_places.note_deeper(place, layout, problems)
     else:
-        capture = READERS[layout].read_capture(folder, problems)
-    if layout in CAMERA_LAYOUTS and not settle_linked(folder, problems):
+        capture = reader_of(layout).read_capture(folder, problems)
+    if known.nested and not settle_linked(folder, problems):
         return None
     capture.frames = without_pictures(capture.frames, broken, problems)
-    if layout in TOLERANT_LAYOUTS:
+    if known.tolerant:
         capture.other_files |= settle_lost(capture.frames, problems)
         if masks is None:
             attach_masks_beside(capture.frames, folder, problems)
@@ -140,8 +114,8 @@ def collect_scene(
     check_names(capture.frames, problems)
     if problems.usable:  # else a picture may be left over because its camera is what is wrong
         report_extra_files(folder, capture.frames, capture.other_files, problems)
-    moved = np.eye(4) if layout in FIXED_WORLDS else bring_near(capture, problems)
-    check_rig(capture.frames, problems, found_here=layout == photographs.NAME)
+    moved = np.eye(4) if known.fixed_world else bring_near(capture, problems)
+    check_rig(capture.frames, problems, found_here=known.finds_cameras)
     set_exposures(folder, capture.frames, capture.exposures, problems)
     manifest = scene_pb2.SceneManifest(
         schema_version=SCHEMA_VERSION,
@@ -158,7 +132,7 @@ def collect_scene(
     if problems.usable:
         if not capture.up_is_z:
             stand_upright(manifest, problems, capture.up)
-        set_extent(manifest, capture, object_capture=layout == tensoir_synthetic.NAME)
+        set_extent(manifest, capture)
         settle(manifest)
     return manifest
 
@@ -170,7 +144,7 @@ def _without_cameras(
     manifest = scene_pb2.SceneManifest(
         schema_version=SCHEMA_VERSION,
         name=capture.name,
-        layout=photographs.NAME,
+        layout=PHOTOGRAPHS,
         lights=capture.lights,
         frames=capture.frames,
     )

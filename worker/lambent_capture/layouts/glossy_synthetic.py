@@ -26,7 +26,6 @@ from lambent_capture.scenes.capture import LIGHT, Capture
 from lambent_capture.scenes.reading import pose_from_world_to_camera
 
 NAME = "glossy_synthetic"
-LOOKS_LIKE = "0-camera.pkl"
 
 _CAMERA = re.compile(r"(\d+)-camera\.pkl$")
 _SPLIT = re.compile(r"synthetic_split_\d+\.pkl$")
@@ -37,7 +36,7 @@ def is_layout(folder: Path) -> bool:
     return bool(_object_folders(folder))
 
 
-def pickles_of(folder: Path) -> set[Path]:
+def own_files(folder: Path) -> set[Path]:
     """Return the pickles of a capture that are read; all others are suspect."""
     places = {folder, *_object_folders(folder)}
     places |= {place.parent for place in places if place != folder}

@@ -22,7 +22,6 @@ from lambent_capture.scenes.frames import check_sizes
 from lambent_capture.scenes.reading import ROOT, read_json_object
 
 NAME = "nerf_blender"
-LOOKS_LIKE = "transforms_train.json"
 FILES = ("transforms_train.json", "transforms_test.json", "transforms_val.json")
 
 TRUTH_SUFFIXES = {

@@ -22,7 +22,6 @@ from lambent_capture.scenes.links import link_out
 from lambent_capture.scenes.reading import ROOT, inside_folder, read_json_object
 
 NAME = "nerfstudio"
-LOOKS_LIKE = "transforms.json"
 
 FILE = "transforms.json"
 SPLITS = (

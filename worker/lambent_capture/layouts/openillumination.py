@@ -30,7 +30,6 @@ from lambent_capture.scenes.reading import (
 )
 
 NAME = "openillumination"
-LOOKS_LIKE = "Lights/<light>/raw_undistorted with output/transforms_train.json"
 PAPER_LIGHTS = ("013", "011", "009")
 """The light of single-light training first, then those that multi-light training adds."""
 

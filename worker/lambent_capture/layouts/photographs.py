@@ -29,7 +29,6 @@ from lambent_capture.scenes.frames import frame_names
 from lambent_capture.scenes.links import leads_inside, link_out, note_links
 
 NAME = "photographs"
-LOOKS_LIKE = "pictures, from which cameras can be found"
 
 IMAGES = "images"
 CAMERAS_FILE = "cameras.json"

@@ -22,7 +22,6 @@ from lambent_capture.scenes.links import leads_inside
 from lambent_capture.scenes.reading import ROOT, read_json_object
 
 NAME = "polycam"
-LOOKS_LIKE = "keyframes/cameras/*.json"
 
 KEY_FRAMES = ("keyframes", ".")
 SETS = (("corrected_cameras", "corrected_images"), ("cameras", "images"))

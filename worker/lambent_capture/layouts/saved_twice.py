@@ -10,9 +10,11 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import PurePosixPath
 
+from lambent_core.layouts import RAW_SUFFIXES
+
 from lambent_capture.layouts.named_files import folded
 from lambent_capture.pictures.pictures import PICTURE_SUFFIXES
-from lambent_capture.pictures.raw_pictures import RAW_SUFFIXES, raw_available
+from lambent_capture.pictures.raw_pictures import raw_available
 from lambent_capture.problems import Problems
 from lambent_capture.scenes.frames import listed
 

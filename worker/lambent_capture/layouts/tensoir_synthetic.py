@@ -27,7 +27,6 @@ from lambent_capture.scenes.reading import (
 )
 
 NAME = "tensoir_synthetic"
-LOOKS_LIKE = "train_*/metadata.json"
 
 # The order decides the default light; the names are those of the published data set.
 TRAIN_LIGHTS = ("sunset", "sunset_000", "sunset_120", "sunset_240", "snow", "courtyard")
@@ -51,7 +50,7 @@ def is_layout(folder: Path) -> bool:
 
 def read_capture(folder: Path, problems: Problems) -> Capture:
     """Return all usable frames of `folder`; all problems are added to `problems`."""
-    capture = Capture(name=folder.resolve().name)
+    capture = Capture(name=folder.resolve().name, object_only=True)
     views = sorted(p.name for p in folder.iterdir() if p.is_dir() and _VIEW.match(p.name))
     _check_numbers(views, problems)
     lights_of = {view: _lights(folder / view) for view in views}

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lambent_core.files import file_sha256
+from lambent_core.layouts import BENCHMARKS, LAYOUTS, PHOTOGRAPHS
 from lambent_proto.v1 import scene_pb2
 
-from lambent_capture.layouts import glossy_synthetic, photographs
-from lambent_capture.layouts.detect import TOLERANT_LAYOUTS, collect_scene, detect_layout
+from lambent_capture.layouts import photographs
+from lambent_capture.layouts.detect import collect_scene, detect_layout
+from lambent_capture.layouts.readers import reader_of
 from lambent_capture.layouts.unread_formats import note_unread
 from lambent_capture.pictures.coverage import frame_mask
 from lambent_capture.pictures.exif import exif_facts
@@ -79,17 +81,18 @@ def inspect_files(
     problems = Problems()
     manifest = collect_scene(folder, layout, problems, masks, cameras=cameras)
     if folder.is_dir():
-        is_glossy = (layout or detect_layout(folder)) == glossy_synthetic.NAME
-        known = glossy_synthetic.pickles_of(folder) if is_glossy else set()
+        name = layout or detect_layout(folder)
+        has_own = name is not None and LAYOUTS[name].own_files is not None
+        known = reader_of(name).own_files(folder) if name is not None and has_own else set()
         note_unsupported(folder, known, problems)
-        if layout or detect_layout(folder):
+        if name is not None:
             note_unread(folder, problems)
     if manifest is None:
         report = scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())
         return Inspection(report=report)
     seen = Problems()
     broken = _look_at_pictures(folder, manifest, skip, announce, seen)
-    tolerant = manifest.layout in TOLERANT_LAYOUTS
+    tolerant = manifest.layout not in BENCHMARKS
     if broken and tolerant and are_few(len(broken), len(manifest.frames) - len(broken)):
         problems = Problems()
         manifest = collect_scene(folder, layout, problems, masks, broken, cameras)
@@ -186,7 +189,7 @@ def _look_at_pictures(
             f"{listed(paths)}: each {doubt}; export again if they look wrong",
             paths[0],
         )
-    if manifest.layout != photographs.NAME:
+    if manifest.layout != PHOTOGRAPHS:
         _note_mirrored(folder, manifest, problems)
     without_cameras = photographs.lacks_cameras(manifest.frames)
     if not any(masked) and not without_cameras:

@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float32, Float64
+from lambent_core.layouts import BENCHMARKS, PHOTOGRAPHS
 from lambent_core.scene import Camera, Margins, Scene, View
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
-from lambent_capture.layouts import glossy_synthetic, openillumination, photographs, tensoir_synthetic
 from lambent_capture.loading.kept_pictures import Pictures, kept
 from lambent_capture.loading.light_turns import light_turn
 from lambent_capture.loading.lights import select_lights
@@ -34,7 +34,6 @@ from lambent_capture.scenes.crop import Box, cropped, object_crop, whole_frame
 from lambent_capture.scenes.world import rotation_and_scale, world_matrix
 
 CropRule = Literal["object", "frame"]
-BENCHMARK_LAYOUTS = (tensoir_synthetic.NAME, openillumination.NAME, glossy_synthetic.NAME)
 
 
 def load_scene(
@@ -71,7 +70,7 @@ def load_scene(
                 cut_out=crop == "object" and is_cut_out(manifest, frame),
                 store=store,
                 turn=light_turn(manifest, frame),
-                upright=manifest.layout == photographs.NAME,
+                upright=manifest.layout == PHOTOGRAPHS,
             ),
         )
         for frame in manifest.frames
@@ -107,7 +106,7 @@ def full_size_views(folder: Path, manifest: scene_pb2.SceneManifest, light: str)
                 cut_out=is_cut_out(manifest, frame),
                 store=None,
                 turn=light_turn(manifest, frame),
-                upright=manifest.layout == photographs.NAME,
+                upright=manifest.layout == PHOTOGRAPHS,
             )
 
 
@@ -119,7 +118,7 @@ def is_cut_out(manifest: scene_pb2.SceneManifest, frame: scene_pb2.Frame) -> boo
     """
     return frame.split != scene_pb2.SPLIT_TEST or not (
         frame.truth
-        or manifest.layout in BENCHMARK_LAYOUTS
+        or manifest.layout in BENCHMARKS
         or any(image.light in manifest.relight_lights for image in frame.images)
     )
 

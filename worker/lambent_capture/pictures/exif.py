@@ -12,13 +12,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from lambent_core.layouts import RAW_SUFFIXES
 from PIL import Image
 
 from lambent_capture.pictures.picture_error import PictureError
 from lambent_capture.pictures.picture_statements import MIRRORED
 from lambent_capture.pictures.pictures import PILLOW_FORMATS, opened, picture_format
 from lambent_capture.pictures.png_header import late_exif
-from lambent_capture.pictures.raw_pictures import RAW_SUFFIXES, raw_settings
+from lambent_capture.pictures.raw_pictures import raw_settings
 
 MAKE, MODEL, ORIENTATION, DATE = 0x010F, 0x0110, 0x0112, 0x0132
 EXIF_FOLDER = 0x8769

@@ -14,6 +14,7 @@ from pathlib import Path
 import imagecodecs
 import numpy as np
 from jaxtyping import Shaped, UInt8
+from lambent_core.layouts import RAW_SUFFIXES
 from numpy import ndarray
 from PIL import Image
 
@@ -25,7 +26,7 @@ from lambent_capture.pictures.picture_bytes import description_of_bytes, format_
 from lambent_capture.pictures.picture_error import PictureError, reason_of
 from lambent_capture.pictures.picture_statements import MIRRORED, orientation_of, stated_space
 from lambent_capture.pictures.png_header import PngHeader, png_header
-from lambent_capture.pictures.raw_pictures import RAW_SUFFIXES, raw_picture_size, raw_pixels
+from lambent_capture.pictures.raw_pictures import raw_picture_size, raw_pixels
 from lambent_capture.pictures.resample import reduced_size
 from lambent_capture.pictures.tiff_pictures import (
     deep_tiff_has_alpha,

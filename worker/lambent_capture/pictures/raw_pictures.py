@@ -21,10 +21,6 @@ from numpy import ndarray
 
 from lambent_capture.pictures.picture_error import PictureError, reason_of
 
-RAW_SUFFIXES = (
-    *(".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".srf", ".sr2", ".raf", ".orf", ".rw2"),
-    *(".pef", ".srw", ".x3f", ".3fr", ".fff", ".iiq", ".erf", ".mrw", ".rwl", ".raw"),
-)
 _STACKED = "Stack"
 """Name of LibRaw's kind of file that has all colours at each pixel; it is halved by us."""
 

@@ -27,6 +27,8 @@ class Capture:
     """Whether z points up in the layout; otherwise it is `up`, or estimated from the cameras."""
     up: tuple[float, float, float] | None = None
     """Direction that points up, unit length, where it is known and not z."""
+    object_only: bool = False
+    """Whether the cameras surround the object closely and show nothing else."""
     has_cameras: bool = True
     """False for photographs whose cameras are still to be found."""
     exposures: dict[str, Exposure] = field(default_factory=dict)

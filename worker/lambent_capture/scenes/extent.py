@@ -46,12 +46,12 @@ def hold_out(frames: list[scene_pb2.Frame]) -> None:
         frame.split = scene_pb2.SPLIT_TEST
 
 
-def set_extent(manifest: scene_pb2.SceneManifest, capture: Capture, *, object_capture: bool) -> None:
+def set_extent(manifest: scene_pb2.SceneManifest, capture: Capture) -> None:
     """Fill in bounds, ray ranges and the contraction radius, all in scene units, from what headers tell.
 
     With r the median distance of the cameras from the point they look at: space is contracted beyond r/2, the
-    box reaches r/2 from that point, camera rays run from 0.1 r to 4 r (0.5 r to 1.5 r where `object_capture`
-    says that nothing but the object is in the pictures), secondary rays from 0.0125 r to r/2. For the
+    box reaches r/2 from that point, camera rays run from 0.1 r to 4 r (0.5 r to 1.5 r where nothing but the
+    object is in the pictures, `capture.object_only`), secondary rays from 0.0125 r to r/2. For the
     published TensoIR-synthetic scenes (r = 4) these are the paper's settings. What the capture states goes
     first.
     """
@@ -70,10 +70,12 @@ def set_extent(manifest: scene_pb2.SceneManifest, capture: Capture, *, object_ca
     if capture.box:
         # A stated box is where all detail is: the grids cover exactly the cube around it.
         manifest.contraction_radius = float(np.abs([low, high]).max())
-    manifest.bounds_from = "capture" if capture.box or object_capture else "cameras"
+    manifest.bounds_from = "capture" if capture.box or capture.object_only else "cameras"
     manifest.bounds.minimum[:] = [float(v) for v in low]
     manifest.bounds.maximum[:] = [float(v) for v in high]
-    near, far = capture.near_far or ((0.5 * rig, 1.5 * rig) if object_capture else (0.1 * rig, 4.0 * rig))
+    near, far = capture.near_far or (
+        (0.5 * rig, 1.5 * rig) if capture.object_only else (0.1 * rig, 4.0 * rig)
+    )
     manifest.primary_rays.near, manifest.primary_rays.far = near, far
     manifest.secondary_rays.near, manifest.secondary_rays.far = 0.025 * reach, reach
 

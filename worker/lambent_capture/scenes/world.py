@@ -6,6 +6,7 @@ around the origin with z up. `SceneManifest.world_from_capture` records what was
 
 import numpy as np
 from jaxtyping import Float64
+from lambent_core.layouts import FIXED_WORLDS
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
@@ -14,7 +15,6 @@ from lambent_capture.scenes.capture import Capture
 
 ORDINARY_REACH = {"cameras": 2.0, "silhouettes": 1.5}
 """Half the longest side of the box that a scene is scaled to, by where the box comes from; scene units."""
-FIXED_WORLDS = ("openillumination", "glossy_synthetic")
 """Layouts of published data whose coordinates are kept: the presets for them state distances in these."""
 KEPT_RATIO = 2.0
 """A box that is off by less than this factor is left as it is, so that most captures keep their units."""
@@ -116,7 +116,7 @@ def settle(manifest: scene_pb2.SceneManifest) -> None:
 
     A scene that was moved already is brought there exactly. Afterwards the contraction of space begins at the
     box, or at the ball that the cameras suggest. Units that the capture fixes with its box, and the
-    coordinates of `FIXED_WORLDS`, are kept.
+    the fixed coordinates of some data sets, are kept.
     """
     low, high = np.array(manifest.bounds.minimum), np.array(manifest.bounds.maximum)
     middle, half = 0.5 * (low + high), float(0.5 * (high - low).max())

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from lambent_capture.layouts import photographs
 from lambent_capture.layouts.detect import describe_scene, detect_layout
 from lambent_capture.layouts.openillumination import PAPER_LIGHTS
 from lambent_core.errors import UsageError
+from lambent_core.layouts import PHOTOGRAPHS
 from lambent_proto.v1 import scene_pb2
 
 from lambent_run.report.published import dataset_of, object_group
@@ -106,4 +106,4 @@ def find_environments(suite: Path, given: Path | None) -> Path | None:
 
 def _has_cameras(folder: Path) -> bool:
     """Return whether a folder is a capture with cameras, so that it can be compared with its truth."""
-    return detect_layout(folder, look_deeper=False) not in (None, photographs.NAME)
+    return detect_layout(folder, look_deeper=False) not in (None, PHOTOGRAPHS)

@@ -48,10 +48,10 @@ def masks(
             "--edit corrects what Lambent estimates itself; leave out --segmenter, or correct its masks with "
             "any paint program",
         )
-    from lambent_capture.layouts import photographs
     from lambent_capture.layouts.detect import detect_layout
+    from lambent_core.layouts import PHOTOGRAPHS
 
-    if not edit and (layout or detect_layout(scene_dir)) != photographs.NAME:
+    if not edit and (layout or detect_layout(scene_dir)) != PHOTOGRAPHS:
         _write(scene_dir, out, segmenter, layout, as_json=as_json)
         return
     from lambent_core.startup import prepare

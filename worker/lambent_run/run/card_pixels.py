@@ -11,11 +11,11 @@ from flashcache.polish.grey_card import LEAST_SAMPLES, Card
 from flashcache.polish.polish import MOST_LIGHTS
 from flashcache.presets import preset
 from jaxtyping import Bool
-from lambent_capture.layouts import photographs
 from lambent_capture.layouts.detect import describe_scene
 from lambent_capture.loading.load import camera_of, load_scene, turned
 from lambent_capture.pictures.lens import distorted
 from lambent_capture.pictures.upright import turned_size, upright_turns
+from lambent_core.layouts import PHOTOGRAPHS
 from lambent_core.measured import measured
 from lambent_core.scene import Scene, View
 from lambent_proto.v1 import scene_pb2
@@ -131,7 +131,7 @@ def box_turns(card: GreyCard, frame: scene_pb2.Frame, manifest: scene_pb2.SceneM
 
     Raises `UsageError` for a box that is not wholly inside it.
     """
-    upright = manifest.layout == photographs.NAME
+    upright = manifest.layout == PHOTOGRAPHS
     turns = upright_turns(camera_of(frame).camera_to_world) if upright else 0
     stored = frame.camera.lens if frame.camera.HasField("lens") else frame.camera
     size = turned_size((stored.width, stored.height), turns)

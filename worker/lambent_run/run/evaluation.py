@@ -9,7 +9,6 @@ from flashcache.evaluation.lpips import load_lpips
 from flashcache.physical.model import InverseModel
 from jaxtyping import Float32
 from lambent_capture.checks.exposure_estimate import adopt_exposures
-from lambent_capture.layouts import photographs
 from lambent_capture.layouts.detect import describe_scene, detect_layout
 from lambent_capture.loading.light_turns import adopt_light
 from lambent_capture.loading.lights import select_lights
@@ -17,6 +16,7 @@ from lambent_capture.loading.load import load_scene
 from lambent_capture.scenes.world import in_world, world_matrix
 from lambent_core.errors import RelightError, UsageError
 from lambent_core.files import digest, read_record, write_json
+from lambent_core.layouts import PHOTOGRAPHS
 from lambent_core.reporter import Reporter
 from lambent_core.scene import Scene
 from lambent_proto.v1 import evaluation_pb2, scene_pb2
@@ -138,7 +138,7 @@ def _scene_to_compare(
 
 def _cameras_for(context: TaskContext, scene_dir: Path) -> Path | None:
     """Return the cameras that the run found for these photographs; raises `UsageError` for other ones."""
-    if (context.spec.layout or detect_layout(scene_dir)) != photographs.NAME:
+    if (context.spec.layout or detect_layout(scene_dir)) != PHOTOGRAPHS:
         return None
     cameras = found_cameras(context.run_dir)
     if cameras is None or done_inputs(context.run_dir, "cameras") != cameras_inputs(scene_dir, context.spec):

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flashcache.errors import ConfigError
-from lambent_capture.layouts import photographs
 from lambent_capture.layouts.detect import detect_layout
 from lambent_capture.loading.light_turns import LightFixedTo, as_light_fixed_to
 from lambent_capture.masks.corrections import (
@@ -23,6 +22,7 @@ from lambent_capture.masks.corrections import (
 )
 from lambent_core.errors import UsageError
 from lambent_core.files import digest, write_json
+from lambent_core.layouts import PHOTOGRAPHS
 from lambent_proto.v1 import job_pb2, worker_pb2
 
 from lambent_run.run.card_option import GreyCard, look_for_photograph, parse_grey_card, refused
@@ -97,7 +97,7 @@ class RunSpec:
     @property
     def lacks_cameras(self) -> bool:
         """Return whether the scene holds photographs whose cameras have to be found."""
-        return (self.layout or detect_layout(self.scene)) == photographs.NAME
+        return (self.layout or detect_layout(self.scene)) == PHOTOGRAPHS
 
     @classmethod
     def from_options(

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from lambent_capture.layouts.detect import TOLERANT_LAYOUTS
 from lambent_capture.loading.inspect import inspect_capture, inspect_files
+from lambent_core.layouts import LAYOUTS
 from lambent_proto.v1 import scene_pb2
 from support.captures import save
 from support.layouts import LAYOUT_FOLDERS, OPENCV, BlenderFolder, LayoutFolder
@@ -37,7 +37,7 @@ def test_a_sound_capture_has_no_findings(capture):
 def test_a_missing_photograph_is_named_and_left_out_where_the_layout_allows_it(capture):
     capture.picture(3).unlink()
     finding = only_finding(capture)
-    tolerant = capture.name in TOLERANT_LAYOUTS
+    tolerant = LAYOUTS[capture.name].tolerant
     assert finding.code == ("scene.frames_without_picture" if tolerant else "scene.file_missing")
     assert finding.subject.rsplit(".", maxsplit=1)[0] == capture.path(3).rsplit(".", maxsplit=1)[0]
 
@@ -45,7 +45,7 @@ def test_a_missing_photograph_is_named_and_left_out_where_the_layout_allows_it(c
 def test_a_photograph_that_ends_too_early_is_named_and_left_out_where_the_layout_allows_it(capture):
     path = capture.picture(3)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    tolerant = capture.name in TOLERANT_LAYOUTS
+    tolerant = LAYOUTS[capture.name].tolerant
     inspection = inspect_files(capture.folder)
     (finding,) = inspection.report.findings
     assert finding.code == ("scene.pictures_left_out" if tolerant else "scene.image_broken")
@@ -116,7 +116,7 @@ def test_an_unreadable_mask_is_an_error_that_names_it(capture):
     path = capture.mask(3) or capture.picture(3)
     path.write_text("no picture")
     finding = only_finding(capture)
-    lost = capture.mask(3) is None and capture.name in TOLERANT_LAYOUTS
+    lost = capture.mask(3) is None and LAYOUTS[capture.name].tolerant
     assert finding.code == ("scene.pictures_left_out" if lost else "scene.image_not_a_picture")
     assert finding.subject == path.relative_to(capture.folder).as_posix()
 
