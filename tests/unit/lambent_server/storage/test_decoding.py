@@ -171,7 +171,7 @@ def test_a_layer_without_effect_is_found_by_trying(monkeypatch: pytest.MonkeyPat
     pretend = (
         "import sys, lambent_sandbox.filters as f, lambent_sandbox.landlock as l\n"
         "f.install = lambda rules: ''\nl.install = lambda paths: ''\n"
-        "from lambent_server import decoding_child\nsys.exit(decoding_child.main())"
+        "from lambent_server.storage import decoding_child\nsys.exit(decoding_child.main())"
     )
     given = Settings(decode_command=(sys.executable, "-c", pretend), sandbox="required")
     layers = decoding.probe(given)
@@ -184,7 +184,7 @@ def test_a_layer_without_effect_is_found_by_trying(monkeypatch: pytest.MonkeyPat
 def test_a_required_sandbox_that_is_missing_later_refuses_uploads_for_now(tmp_path: Path):
     without = (
         "import sys, lambent_sandbox.filters as f\nf.install = lambda rules: 'none'\n"
-        "from lambent_server import decoding_child\nsys.exit(decoding_child.main())"
+        "from lambent_server.storage import decoding_child\nsys.exit(decoding_child.main())"
     )
     problem = refusal(tmp_path, Settings(decode_command=(sys.executable, "-c", without), sandbox="required"))
     assert (problem.status, problem.code) == (503, "decoder_unavailable")
