@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lambent_core.errors import LambentError
+from lambent_core.errors import LambentError as LambentError
 
 
 class UsageProblemError(LambentError):
