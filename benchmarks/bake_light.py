@@ -15,13 +15,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from flashcache.data.scene import View
 from flashcache.training.light_bake import LightBakeConfig
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.loading.load import load_scene
+from lambent_core.scene import View
 from lambent_relight import Environment, Renderer, load_bundle, load_environment
-from lambent_worker.console_reporter import ConsoleReporter
-from lambent_worker.light_bake.bake import BakeRequest, bake_light
-from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.load import load_scene
+from lambent_run.console_reporter import ConsoleReporter
+from lambent_run.run.bake import BakeRequest, bake_light
 
 from benchmarks.relighting import albedo_ratio, camera_of, encoded_over_white
 

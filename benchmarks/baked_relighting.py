@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from lambent_core.colour import srgb_from_linear
 from lambent_relight import (
     MaterialEdit,
     Renderer,
@@ -21,7 +22,6 @@ from lambent_relight import (
     turntable,
 )
 from lambent_relight.baked.light import coarse_bounce, lit_texels, prepare_light, texel_irradiance
-from lambent_relight.images import srgb_from_linear
 
 QUICK = "{bundle} --size 96 --environments {maps} --views 1 --samples 8"
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lambent_core.colour import srgb_from_linear
 from lambent_relight import MaterialEdit, Renderer, load_bundle, load_environment, turntable
 from lambent_relight.baked.light import MAX_DOMINANT, lit_texels
 from lambent_relight.baked.renderer import BakedRenderer
@@ -21,7 +22,6 @@ from lambent_relight.baked.shadow_maps import shadow_map
 from lambent_relight.baked.view import BakedView, look_at_surface
 from lambent_relight.cameras import Camera
 from lambent_relight.environment.maps import Environment
-from lambent_relight.images import srgb_from_linear
 
 QUICK = "{bundle} --environments {maps} --size 24 --views 1"
 FINER = 8

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lambent_core.colour import linear_from_srgb
 from lambent_relight import Bundle, Camera, Renderer, load_bundle, load_environment
 from lambent_relight.asset.write import write_formats
-from lambent_relight.images import linear_from_srgb
 from numpy.typing import NDArray
 from PIL import Image
 

@@ -12,14 +12,14 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from lambent_capture.checks.examine import examine_capture
+from lambent_capture.checks.exposure_estimate import even_out_exposure
+from lambent_capture.checks.limits import CaptureLimits
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.loading.lights import select_lights
+from lambent_capture.problems import Problems
+from lambent_core.colour import linear_from_srgb, srgb_from_linear
 from lambent_proto.v1 import scene_pb2
-from lambent_relight.images import linear_from_srgb, srgb_from_linear
-from lambent_worker.capture_qa.examine import examine_capture
-from lambent_worker.capture_qa.exposure_estimate import even_out_exposure
-from lambent_worker.capture_qa.limits import CaptureLimits
-from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.lights import select_lights
-from lambent_worker.scenes.problems import Problems
 from numpy import ndarray
 from PIL import Image
 

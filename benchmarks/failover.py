@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
 from sqlalchemy import create_engine, text
 from support.live_server import FAST, LiveServer, wait_until
 from support.own_postgresql import OwnPostgreSQL

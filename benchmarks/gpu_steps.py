@@ -7,13 +7,13 @@ from typing import Any
 import torch
 from flashcache.config import Config
 from flashcache.data.ray_batches import TrainingPixels
-from flashcache.data.scene import Scene
 from flashcache.kernels import dispatch
 from flashcache.physical.incident import SecondaryRays
 from flashcache.presets import preset
 from flashcache.training import cuda_graphs as graphs
 from flashcache.training.cuda_graphs import CudaCapture
-from lambent_worker.run.tasks.training import matrix_precision
+from lambent_core.scene import Scene
+from lambent_run.run.tasks.training import matrix_precision
 from torch.autograd import DeviceType
 from torch.profiler import ProfilerActivity, profile
 

@@ -6,16 +6,16 @@ from typing import Any
 
 from flashcache.presets import preset
 from flashcache.training.checkpoint import load_checkpoint
-from lambent_worker.errors import Stopped
-from lambent_worker.files import read_record, write_json
-from lambent_worker.report.request import EvaluationRequest
-from lambent_worker.run.evaluation import evaluate_run
-from lambent_worker.run.folder import task_seconds
-from lambent_worker.run.hashes import PREPARATION
-from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.prepare import device_for, open_task
-from lambent_worker.run.spec import RunSpec
-from lambent_worker.run.tasks.training import new_model, read_scene
+from lambent_core.errors import Stopped
+from lambent_core.files import read_record, write_json
+from lambent_run.report.request import EvaluationRequest
+from lambent_run.run.evaluation import evaluate_run
+from lambent_run.run.folder import task_seconds
+from lambent_run.run.hashes import PREPARATION
+from lambent_run.run.pipeline import run_pipeline
+from lambent_run.run.prepare import device_for, open_task
+from lambent_run.run.spec import RunSpec
+from lambent_run.run.tasks.training import new_model, read_scene
 
 from benchmarks.long_curve import TRAINING_STAGES, Checkpoint, Keeper, copy_checkpoint, kept_checkpoints
 from benchmarks.reference_scores import figures_of

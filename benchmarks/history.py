@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
-from lambent_server.settings import Settings
 
 QUICK = "--old 3000 --queued 100 --rounds 2 --idle 2 --databases sqlite"
 SMALL = 1000

@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 import httpx2
+from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
 from lambent_server.database.schema import metadata
-from lambent_server.settings import Settings
 from sqlalchemy import func, select, text
 
 from benchmarks.history import Subject, processes_of, processor_s

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from lambent_core.directions import normalise
 from lambent_relight.baked.split_sum import split_sum, table
-from lambent_relight.directions import normalise
 from lambent_relight.environment.dominant_lights import split
 from lambent_relight.environment.harmonics import project, rotate_z
 from lambent_relight.environment.maps import environment_from_array, load_environment, write_environment

@@ -14,8 +14,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.load import load_scene
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.loading.load import load_scene
 from PIL import Image
 
 QUICK = "--count 3 --width 600"

@@ -18,14 +18,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from lambent_worker.console_reporter import ConsoleReporter
-from lambent_worker.files import read_record
-from lambent_worker.run.folder import done_inputs, finish_task, task_seconds
-from lambent_worker.run.hashes import PREPARATION, last_training_task
-from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.prepare import device_for
-from lambent_worker.run.spec import RunSpec
-from lambent_worker.startup import prepare
+from lambent_core.files import read_record
+from lambent_core.startup import prepare
+from lambent_run.console_reporter import ConsoleReporter
+from lambent_run.run.folder import done_inputs, finish_task, task_seconds
+from lambent_run.run.hashes import PREPARATION, last_training_task
+from lambent_run.run.pipeline import run_pipeline
+from lambent_run.run.prepare import device_for
+from lambent_run.run.spec import RunSpec
 
 from benchmarks.reference_scores import FIGURES, figures_of
 

@@ -13,14 +13,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from lambent_worker.masks.corrections import Correction
-from lambent_worker.masks.final import preview_masks
-from lambent_worker.masks.find import FindSettings, find_object
-from lambent_worker.masks.propagate import propagated
-from lambent_worker.masks.workspace import Workspace
-from lambent_worker.run.folder import task_folder
-from lambent_worker.run.kept import WORKSPACE
-from lambent_worker.scenes.upright import turned_pixels, upright_turns
+from lambent_capture.masks.corrections import Correction
+from lambent_capture.masks.final import preview_masks
+from lambent_capture.masks.find import FindSettings, find_object
+from lambent_capture.masks.propagate import propagated
+from lambent_capture.masks.workspace import Workspace
+from lambent_capture.pictures.upright import turned_pixels, upright_turns
+from lambent_run.run.folder import task_folder
+from lambent_run.run.kept import WORKSPACE
 from numpy import ndarray
 from PIL import Image
 from scipy import ndimage

@@ -25,11 +25,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lambent_worker.console_reporter import ConsoleReporter
-from lambent_worker.run.folder import task_seconds
-from lambent_worker.run.hashes import PREPARATION
-from lambent_worker.run.spec import RunSpec
-from lambent_worker.startup import prepare
+from lambent_core.startup import prepare
+from lambent_run.console_reporter import ConsoleReporter
+from lambent_run.run.folder import task_seconds
+from lambent_run.run.hashes import PREPARATION
+from lambent_run.run.spec import RunSpec
 from PIL import Image
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 

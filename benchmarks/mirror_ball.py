@@ -8,9 +8,9 @@ import json
 import struct
 
 import numpy as np
+from lambent_core.colour import srgb_from_linear
 from lambent_relight import Environment
 from lambent_relight.cameras import Camera
-from lambent_relight.images import srgb_from_linear
 from lambent_relight.tone_mapping import tone_mapped
 from numpy.typing import NDArray
 

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from flashcache.data.scene import Camera, Scene, View
 from jaxtyping import Float, Int
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.loading.load import load_scene
+from lambent_core.scene import Camera, Scene, View
 from lambent_relight.environment.maps import load_environment
-from lambent_worker.report.predictions import encoded, save_array
-from lambent_worker.report.request import evenly_spaced
-from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.load import load_scene
+from lambent_run.report.predictions import encoded, save_array
+from lambent_run.report.request import evenly_spaced
 from make_sample_scene import emitter, load_renderer, straight
 from numpy import ndarray
 

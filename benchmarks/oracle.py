@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from flashcache.data.scene import Scene
 from flashcache.evaluation.relighting import MapLight
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.loading.load import load_scene
+from lambent_core.scene import Scene
 from lambent_relight.environment.maps import load_environment
-from lambent_worker.report.predictions import encoded, save_array
-from lambent_worker.report.request import evenly_spaced
-from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.load import load_scene
+from lambent_run.report.predictions import encoded, save_array
+from lambent_run.report.request import evenly_spaced
 
 from benchmarks.oracle_albedo import AlbedoFit, albedo_map
 from benchmarks.oracle_geometry import fuse

@@ -7,10 +7,10 @@ shows; least squares over all of them gives the albedo at the vertices of the pr
 
 import numpy as np
 import torch
-from flashcache.data.scene import View
 from flashcache.evaluation.relighting import MapLight
 from flashcache.physical.brdf import Materials
 from jaxtyping import Float
+from lambent_core.scene import View
 from scipy.spatial import cKDTree
 from torch import Tensor
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from flashcache.data.scene import Camera, View
 from jaxtyping import Bool, Float, Int
+from lambent_core.scene import Camera, View
 from numpy import ndarray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree

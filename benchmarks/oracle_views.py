@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from flashcache.data.scene import Camera, View
 from flashcache.evaluation.relighting import MapLight
 from flashcache.physical.brdf import Materials
 from flashcache.physical.shading import ShadingPoints
 from jaxtyping import Float, Int
+from lambent_core.scene import Camera, View
 from torch import Tensor
 
 from benchmarks.oracle_geometry import pixel_rays, single_surface

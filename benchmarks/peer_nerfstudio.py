@@ -20,15 +20,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from flashcache.data.scene import Scene, View
 from flashcache.evaluation.metrics import over_white
 from flashcache.presets import preset
 from jaxtyping import Float32
-from lambent_worker.report.predictions import encoded
-from lambent_worker.report.request import evenly_spaced
-from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.load import load_scene
-from lambent_worker.startup import prepare
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.loading.load import load_scene
+from lambent_core.scene import Scene, View
+from lambent_core.startup import prepare
+from lambent_run.report.predictions import encoded
+from lambent_run.report.request import evenly_spaced
 from numpy import ndarray
 
 from benchmarks.time_to_quality import ANTIALIAS, Mark, curve

@@ -17,13 +17,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from lambent_worker.capture_qa.picture_camera import PictureCamera
-from lambent_worker.masks.final import FinalSettings, colours_of, final_mask
-from lambent_worker.masks.find import FindSettings, agreement_of, find_object
-from lambent_worker.masks.photograph import Photograph, SparsePoints, of_pictures, photographs_of
-from lambent_worker.masks.sparse import sparse_points
-from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.pictures import read_picture
+from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.masks.final import FinalSettings, colours_of, final_mask
+from lambent_capture.masks.find import FindSettings, agreement_of, find_object
+from lambent_capture.masks.photograph import Photograph, SparsePoints, of_pictures, photographs_of
+from lambent_capture.masks.sparse import sparse_points
+from lambent_capture.pictures.pictures import read_picture
 from numpy import ndarray
 
 from benchmarks.masks import SAMPLE, backgrounds

@@ -16,11 +16,11 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from lambent_core.colour import srgb_from_linear
 from lambent_relight.baked.raster import Fragments, block_means, interpolate, rasterise
 from lambent_relight.baked.texture_lookup import bilinear
 from lambent_relight.brdf import brdf_cos, materials_from_roughness
 from lambent_relight.cameras import Camera
-from lambent_relight.images import srgb_from_linear
 from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial import cKDTree
 

@@ -12,9 +12,9 @@ import time
 from pathlib import Path
 
 import numpy as np
+from lambent_core.colour import srgb_from_linear
 from lambent_relight import Camera, Environment, Renderer, load_bundle, load_environment
 from lambent_relight.edits import MaterialEdit
-from lambent_relight.images import srgb_from_linear
 
 QUICK = "{bundle} --environments {maps} --views 1 --samples 8 --seeds 2 --side 16"
 

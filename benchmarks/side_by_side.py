@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 from lambent.truth import psnr, read_camera
+from lambent_core.colour import linear_from_srgb, srgb_from_linear
+from lambent_core.exr import read_exr_parts
 from lambent_relight import load_environment
 from lambent_relight.cameras import Camera
-from lambent_relight.environment.exr import read_exr_parts
-from lambent_relight.images import linear_from_srgb, srgb_from_linear
 from lambent_relight.tone_mapping import tone_mapped
 from numpy.typing import NDArray
 from PIL import Image

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lambent_core.colour import linear_from_srgb, srgb_from_linear
 from lambent_relight.asset.textured_mesh import pixels_of, textured_mesh_from_glb
 from lambent_relight.baked.raster import interpolate, rasterise_uv
 from lambent_relight.baked.texture_lookup import bilinear
-from lambent_relight.images import linear_from_srgb, srgb_from_linear
 
 from benchmarks import printed_drum as drum
 

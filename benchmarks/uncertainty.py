@@ -118,10 +118,10 @@ def print_tables(found: dict[str, np.ndarray]) -> None:
 
 def print_variants(run_dir: Path, scene_dir: Path, report: Path) -> None:
     """Print how the map and its use change with the priors."""
-    from lambent_worker.report.request import rule_of
-    from lambent_worker.report.uncertainty import PRIORS, measure_uncertainty, uncertainty_map
-    from lambent_worker.run.prepare import open_task
-    from lambent_worker.run.tasks.training import load_final, read_scene
+    from lambent_run.report.request import rule_of
+    from lambent_run.report.uncertainty import PRIORS, measure_uncertainty, uncertainty_map
+    from lambent_run.run.prepare import open_task
+    from lambent_run.run.tasks.training import load_final, read_scene
 
     context = open_task(run_dir, "evaluate", None)
     scene = read_scene(context)

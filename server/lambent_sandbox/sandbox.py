@@ -36,7 +36,7 @@ PACKAGES: Final = (
     "lambent_compute",
     "lambent_relight",
     "flashcache",
-    "lambent_worker",
+    "lambent_run",
 )
 """What a process that reads pictures may import of ours."""
 

@@ -47,7 +47,7 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
     with opened(tmp_path_factory.mktemp("metrics") / "data") as api:
         families = list(text_string_to_metric_families(api.get("/metrics").text))
     # A labelled metric that has counted nothing yet has no series: its labels are in the code.
-    from lambent_server import metrics
+    from lambent_server.core import metrics
 
     labels = {each._name: set(each._labelnames) for each in metrics.COUNTED if hasattr(each, "_labelnames")}
     for family in families:

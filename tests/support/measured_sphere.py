@@ -1,7 +1,7 @@
 """Views of a sphere with true maps, means over pixels: distance, normal, albedo of two halves, materials."""
 
 import numpy as np
-from flashcache.data.scene import View
+from lambent_core.scene import View
 from support.lit_sphere import BOTTOM, RADIUS, TOP, camera
 
 ROUGHNESS, METALNESS = 0.4, 0.25

@@ -11,6 +11,15 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from lambent_core.errors import (
+        BundleError,
+        CameraError,
+        EnvironmentFileError,
+        RelightError,
+        SettingError,
+        UnsupportedQuality,
+    )
+
     from lambent_relight.bundle.bundle import Bundle, load_bundle
     from lambent_relight.cameras import (
         Camera,
@@ -27,14 +36,6 @@ if TYPE_CHECKING:
         environment_from_array,
         load_environment,
         write_environment,
-    )
-    from lambent_relight.errors import (
-        BundleError,
-        CameraError,
-        EnvironmentFileError,
-        RelightError,
-        SettingError,
-        UnsupportedQuality,
     )
     from lambent_relight.images import write_picture_exr, write_png
     from lambent_relight.picture import RelitPicture
@@ -109,7 +110,7 @@ def __getattr__(name: str) -> object:
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("lambent"):
             raise
-        from lambent_proto.extras import pip_install
+        from lambent_core.extras import pip_install
 
         advice = f"{__name__} needs the package {error.name!r}: {pip_install('client')}"
         raise ModuleNotFoundError(advice, name=error.name) from error

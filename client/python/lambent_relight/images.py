@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 import OpenEXR
+from lambent_core.colour import srgb_from_linear
+from lambent_core.exr import write_exr
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from lambent_core.colour import srgb_from_linear
 from lambent_relight import cryptomatte
 from lambent_relight.aovs import ATTRIBUTES, FULL_PRECISION, OBJECT_NAME, as_written_now, exr_channels
 from lambent_relight.arguments import file_path, instance
-from lambent_relight.environment.exr import write_exr
 from lambent_relight.picture import RelitPicture
 from lambent_relight.tone_mapping import tone_mapped
 

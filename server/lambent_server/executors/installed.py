@@ -15,7 +15,7 @@ PACKAGES = (
     "lambent_compute",
     "lambent_relight",
     "flashcache",
-    "lambent_worker",
+    "lambent_run",
 )
 """What a run process is made of."""
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from flashcache.presets import preset
-from lambent_worker.run.spec import RunSpec
+from lambent_run.run.spec import RunSpec
 
 from benchmarks.gpu_training import Sitting, add_seconds, curve, keep_ends, shortened, training
 

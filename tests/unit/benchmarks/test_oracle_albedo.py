@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from flashcache.data.scene import View
 from flashcache.evaluation.relighting import MapLight
+from lambent_core.scene import View
 from make_sample_scene import llvm_library
 from support.measured_sphere import measured_views
 

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from lambent_core.directions import pixel_directions
 from lambent_relight import environment_from_array, load_environment
 from lambent_relight.cameras import Camera, look_at
-from lambent_relight.directions import pixel_directions
 from PIL import Image
 
 from benchmarks.browser_pictures import orbit_of, rgbe_bytes
