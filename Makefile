@@ -146,7 +146,7 @@ check-dependencies: $(VENV)/.installed
 
 check-schemas: setup
 	$(BIN)/python scripts/schema.py --check
-	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker-compose.yml deploy/compose/loki.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker-compose.yml
 
 check-web: setup
 	cd $(WEB) && npm run check
