@@ -30,7 +30,6 @@ from flashcache.evaluation.views import render_gbuffer, render_physical
 from flashcache.memory import MemoryEstimate, estimate
 from flashcache.physical.model import InverseModel
 from flashcache.presets import preset
-from flashcache.training.cuda_graphs import Capture
 from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
 from lambent_capture.layouts.detect import describe_scene
@@ -75,18 +74,11 @@ def with_share(config: Config, share: int) -> Config:
     )
 
 
-def new_stage(
-    name: str,
-    model: InverseModel,
-    pixels: TrainingPixels,
-    config: Config,
-    fixed: bool | None = None,
-    capture: Capture | None = None,
-) -> StageOne | StageTwo:
-    """Return a stage ready for its first step; `fixed` and `capture` as for the stages."""
+def new_stage(name: str, model: InverseModel, pixels: TrainingPixels, config: Config) -> StageOne | StageTwo:
+    """Return a stage ready for its first step."""
     if name == "one":
-        return StageOne(model, pixels, config.stage_one, seed=0, fixed=fixed, capture=capture)
-    return StageTwo(model, pixels, config.stage_two, seed=0, fixed=fixed, capture=capture)
+        return StageOne(model, pixels, config.stage_one, seed=0)
+    return StageTwo(model, pixels, config.stage_two, seed=0)
 
 
 def peak_bytes(device: torch.device) -> int:
