@@ -110,7 +110,7 @@ def store(database: Database, queue: list[Waiting], turns: dict[str, int] | None
             "priority": job.priority,
             "gpus": job.gpus,
             "state": job.state,
-            "handle": {"pid": 1} if job.has_process else None,
+            "handle": {"pid": 1, "run": "x/1"} if job.has_process else None,
             "order_id": job.order,
             "shard": job.shard,
         }

@@ -25,6 +25,7 @@ from lambent_server.database.cluster_schema import leadership, servers
 from lambent_server.database.columns import clock_time
 from lambent_server.database.engine import Database
 from lambent_server.database.leadership import Leadership, OlderServers
+from lambent_server.executors.chosen import is_on_this_machine
 
 log = structlog.get_logger()
 
@@ -297,7 +298,7 @@ class Membership:
                 "version": self._version,
                 "protocol": PROTOCOL,
                 # Those of a cluster belong to none of the servers that use it.
-                "slots": self._settings.local_slots if self._settings.executor == "local" else 0,
+                "slots": self._settings.local_slots if is_on_this_machine(self._settings) else 0,
                 "gpus": self._gpus(),
                 "beat_at": at,
                 "expires_at": at + window_s,

@@ -28,6 +28,7 @@ from lambent_server.database.schema import (
     render_orders,
 )
 from lambent_server.database.tenancy import Tenant, add, find, rows
+from lambent_server.executors.chosen import is_on_this_machine
 from lambent_server.jobs.queries import check_priority, check_quota, insert_job
 from lambent_server.jobs.rows import (
     CANCELLED,
@@ -125,9 +126,9 @@ def submit(connection: Connection, tenant: Tenant, order: Order, services: Servi
 
 def _num_places(connection: Connection, services: Services) -> int:
     """Return how many parts of an order can be rendered at the same time."""
-    if services.settings.executor == "ray":
-        return services.capacity.num_places()
-    return total_slots(connection, services.settings.local_slots)
+    if is_on_this_machine(services.settings):
+        return total_slots(connection, services.settings.local_slots)
+    return services.capacity.num_places()
 
 
 def _queue(

@@ -362,7 +362,7 @@ class Controller:
                 set_fields(connection, job, handle=None)
             return True
         RUNS_STARTED.inc()
-        log.info("run_started", job=job["id"], run=run, pid=handle.get("pid"), gpus=handle["gpus"])
+        log.info("run_started", job=job["id"], run=run, handle=handle)
         with self._services.database.write() as connection:
             set_fields(connection, job, handle=handle)
         return True

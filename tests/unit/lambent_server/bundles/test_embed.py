@@ -148,7 +148,7 @@ def test_after_its_end_a_link_shows_neither_name_nor_picture(api: Api, monkeypat
     revoked, _ = make(api, frame_ancestors=[SHOP])
     expect(api.delete(f"/v1/shares/{revoked['id']}"), 204)
     expired, _ = make(api, expires_in_s=60)
-    for module in ("shares", "housekeeping"):
+    for module in ("accounts.shares", "maintenance.housekeeping"):
         monkeypatch.setattr(f"lambent_server.{module}.now", lambda: time.time() + 61)
     sweep(api.services)
     for share in (revoked, expired):

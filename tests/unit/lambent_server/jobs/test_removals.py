@@ -59,7 +59,7 @@ def test_a_job_that_has_ended_goes_with_its_history_artifacts_and_log_and_its_bu
     with api.services.database.write() as connection:
         connection.execute(add(TENANT, artifacts, job_id=job_id, name="a.png", **file))
     expect_problem(api.delete(f"/v1/jobs/{job_id}"), 409, "job_in_use")
-    end(api, job_id, handle={"pid": 1})
+    end(api, job_id, handle={"pid": 1, "run": "x/1"})
     expect_problem(api.delete(f"/v1/jobs/{job_id}"), 409, "job_in_use")
     end(api, job_id, handle=None)
     expect_problem(api.other(STRANGER_KEY).delete(f"/v1/jobs/{job_id}"), 404, "job_not_found")

@@ -66,12 +66,12 @@ def change(api: Api, job: str, **values: Any) -> None:
 def running(api: Api, server: str) -> str:
     """Return a job with a run that a server looks after."""
     job = str(api.job()["id"])
-    change(api, job, state="running", run=1, handle={"actor": "x", "server": server})
+    change(api, job, state="running", run=1, handle={"actor": "x", "run": "x", "server": server})
     return job
 
 
 def move(api: Api, job: str, server: str) -> None:
-    change(api, job, handle={"actor": "x", "server": server})
+    change(api, job, handle={"actor": "x", "run": "x", "server": server})
 
 
 def end(api: Api, job: str, **values: Any) -> None:

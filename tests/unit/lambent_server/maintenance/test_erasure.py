@@ -160,7 +160,7 @@ def test_it_is_not_deleted_while_it_is_open_or_a_process_runs(services: Services
         erasure.erase(services, OPERATOR)
     with services.database.write() as connection:
         job = dict(connection.execute(rows(GONE, jobs)).mappings().one())
-        set_fields(connection, job, state=RUNNING, handle={"pid": 1})
+        set_fields(connection, job, state=RUNNING, handle={"pid": 1, "run": "x/1"})
     assert erasure.close(services, WHO) == 1
     with pytest.raises(Problem, match="have not ended"):
         erasure.erase(services, OPERATOR)

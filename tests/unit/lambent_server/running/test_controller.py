@@ -145,7 +145,7 @@ def test_the_wait_before_the_next_try_doubles(tmp_path: Path, monkeypatch: pytes
         for wait in (100.0, 200.0):
             stage.end(1)
             for later, state in ((0.9 * wait, "retry_wait"), (1.1 * wait, "running")):
-                for module in ("controller", "outcomes", "job_rows"):
+                for module in ("running.controller", "jobs.outcomes", "jobs.rows"):
                     monkeypatch.setattr(f"lambent_server.{module}.now", lambda at=began + passed + later: at)
                 stage.controller.turn()
                 assert stage.job(job)["state"] == state
