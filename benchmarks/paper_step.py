@@ -24,7 +24,6 @@ import numpy as np
 import torch
 from flashcache.config import Config
 from flashcache.data.ray_batches import TrainingPixels
-from flashcache.data.scene import Scene
 from flashcache.data.space import domain_of, placed
 from flashcache.evaluation.metrics import over_white, psnr
 from flashcache.evaluation.views import render_gbuffer, render_physical
@@ -33,11 +32,11 @@ from flashcache.physical.model import InverseModel
 from flashcache.presets import preset
 from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
-from lambent_worker.report.predictions import encoded
-from lambent_worker.report.request import evenly_spaced
-from lambent_worker.run.tasks.training import matrix_precision
-from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.load import load_scene
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.loading.load import load_scene
+from lambent_core.scene import Scene, evenly_spaced
+from lambent_run.report.predictions import encoded
+from lambent_run.run.tasks.training import matrix_precision
 
 QUICK = "--preset tiny --share 16 --steps 2"
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from lambent.cli.app import build
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
 from support.deployed import (
     CACHES,
     END_S,

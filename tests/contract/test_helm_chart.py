@@ -14,7 +14,7 @@ import kubernetes_validate
 import pytest
 import yaml
 from lambent.cli.app import build
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
 from support.deployed import (
     CACHES,
     CHART,

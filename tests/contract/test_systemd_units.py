@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from lambent.cli.app import build
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
 from support.deployed import CACHES, END_S, SYSTEMD, rest_after_runs, unit, unit_command
 
 UNIT = "lambent-server.service"

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 import yaml
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
 
 ROOT = Path(__file__).parents[2]
 CHART = ROOT / "deploy" / "helm" / "lambent"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
 
 # How an executor finds a process; stored in the job's row, so it is JSON and survives the server. It says by
 # which executor, on which host and by which server the run was started. Before the process exists it has only

@@ -2,12 +2,12 @@
 
 import importlib.util
 
-from lambent_proto.extras import pip_install
+from lambent_core.extras import pip_install
 
+from lambent_server.core.settings import Settings
 from lambent_server.executors import Executor
 from lambent_server.executors.groups import groups_or_none
 from lambent_server.executors.local import LocalExecutor
-from lambent_server.settings import Settings
 
 
 class ExecutorSetupError(Exception):

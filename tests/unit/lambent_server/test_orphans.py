@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from lambent_proto.v1 import worker_pb2
 from lambent_server.database.schema import jobs
-from lambent_server.job_rows import set_fields
+from lambent_server.jobs.rows import set_fields
 from support.runs import Others, Stage, staged
 
 
