@@ -152,8 +152,10 @@ def _shown(path: Path, header: dict) -> tuple[tuple[int, int], tuple[int, int]]:
 
 def _matrix(path: Path, header: dict) -> NDArray[np.float32] | None:
     stated = header.get("chromaticities")
+    if stated is None:
+        return None
     try:
-        return None if stated is None else rec709_matrix(stated)
+        return rec709_matrix(stated)
     except ValueError as error:
         raise _unusable(
             "environment.exr_primaries",

@@ -76,7 +76,8 @@ def read_rgbe(path: Path, *, max_pixels: int) -> PictureRows:
         chosen = pixels[part]
         factor = np.ldexp(np.float32(1.0), chosen[..., 3].astype(np.int32) - 136)
         factor[chosen[..., 3] == 0] = 0.0
-        return to_rec709(chosen[..., :3] * factor[..., None] / header.scale, header.matrix)
+        linear = chosen[..., :3] * factor[..., None] / header.scale
+        return to_rec709(linear.astype(np.float32, copy=False), header.matrix)
 
     return PictureRows(height, width, rows)
 

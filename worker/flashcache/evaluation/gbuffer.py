@@ -72,9 +72,9 @@ def render_gbuffer(model: InverseModel, camera: Camera, *, light: int = 0) -> GB
         values[some] = _surface(model, rays.select(some), light)
 
     on_all_cores(fill, hits.split(CHUNK_RAYS) if len(hits) else (), device)
-    values = values.reshape(camera.height, camera.width, 13).cpu().numpy()
+    picture = values.reshape(camera.height, camera.width, 13).cpu().numpy()
     opacity, distance, normal, albedo, width, metalness, colour = np.split(
-        values, [1, 2, 5, 8, 9, 10], axis=-1
+        picture, [1, 2, 5, 8, 9, 10], axis=-1
     )
     return GBuffer(camera, opacity, distance, normal, albedo, width, metalness, colour)
 

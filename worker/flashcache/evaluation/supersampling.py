@@ -78,7 +78,7 @@ def mean_gbuffer(buffer: GBuffer, camera: Camera, antialias: int) -> GBuffer:
         camera=camera,
         opacity=opacity,
         distance=np.where(empty, np.float32(0.0), mean(buffer.distance)),
-        normal=np.where(empty, np.float32([0.0, 0.0, 1.0]), normal),
+        normal=np.where(empty, np.array([0.0, 0.0, 1.0], np.float32), normal),
         albedo=mean(buffer.albedo),
         perceptual_roughness=mean(buffer.perceptual_roughness),
         metalness=mean(buffer.metalness),

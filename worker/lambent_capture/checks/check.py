@@ -131,10 +131,15 @@ def _ask(order: str) -> tuple[str, int]:
     environment = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PATH": os.environ.get("PATH", "")}
     # Modules are found where this process finds them.
     environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     # A child that Ctrl-C ended would look as if a file of the capture had ended it.
     with held_back(*GROUP_SIGNALS):
-        started = subprocess.Popen(COMMAND, env=environment, **pipes)
+        started = subprocess.Popen(
+            COMMAND,
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
     with started as child:
         assert child.stdin is not None
         assert child.stdout is not None

@@ -63,7 +63,7 @@ def measure(
     for each in observations:
         _add_view(figures, each)
     _measure_sharpness(figures, observations)
-    figures.has_masks = bool(observations) and np.mean([each.has_mask for each in observations]) > 0.5
+    figures.has_masks = bool(observations) and float(np.mean([each.has_mask for each in observations])) > 0.5
     centre = _measure_silhouettes(figures, observations, manifest, limits) if figures.has_masks else None
     if centre is None:
         centre = looked_at_point(*camera_axes(list(manifest.frames)))

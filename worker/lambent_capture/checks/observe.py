@@ -82,7 +82,7 @@ def observe(
     `announce` is called with the path of each file before it is decoded. Raises `PictureError` for one that
     cannot be read.
     """
-    observations = []
+    observations: list[Observation] = []
     for frame in manifest.frames:
         images = [image for image in frame.images if image.light in manifest.lights]
         if images:
@@ -122,7 +122,7 @@ def _observe_frame(
             PictureObservation(
                 light=image.light,
                 path=image.path,
-                clipped_share=float(ended.any(axis=-1)[inside].mean())
+                clipped_share=float(np.any(ended, axis=-1)[inside].mean())
                 if ended is not None and inside.any()
                 else 0.0,
                 detail=fine_contrast(srgb_from_linear(light).astype(np.float32), alpha),

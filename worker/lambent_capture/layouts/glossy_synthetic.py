@@ -56,10 +56,10 @@ def read_capture(folder: Path, problems: Problems) -> Capture:
         problems.error("scene.camera_missing", "there is no <number>-camera.pkl; add the cameras")
         return capture
     if len(places) > 1:
-        names = ", ".join(place.relative_to(folder).as_posix() for place in places[:10])
+        several = ", ".join(place.relative_to(folder).as_posix() for place in places[:10])
         problems.error(
             "scene.object_ambiguous",
-            f"the folder holds several objects ({names}); give the folder of one, with a "
+            f"the folder holds several objects ({several}); give the folder of one, with a "
             "copy of the split file",
         )
         return capture

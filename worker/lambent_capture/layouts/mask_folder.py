@@ -77,7 +77,8 @@ def _names(frame: scene_pb2.Frame, stems: Counter[str]) -> list[str]:
 def _files_by_name(folder: Path) -> dict[str, Path]:
     """Return the pictures below `folder` by what their photographs may be called, in it without suffix."""
     paths = [path for path in files_below(folder, folder, []) if path.suffix.lower() in PICTURE_SUFFIXES]
-    exact, alike = {}, {}
+    exact: dict[str, Path] = {}
+    alike: dict[str, Path] = {}
     for path in paths:
         name = path.relative_to(folder).with_suffix("")
         exact[name.as_posix()] = path

@@ -106,12 +106,16 @@ class _Instructions(dict):
     """What is done for each instruction; others than these are refused."""
 
     def __missing__(self, code: int) -> None:
-        name = pickletools.code2op[chr(code)].name
+        name = vars(pickletools)["code2op"][chr(code)].name
         raise PickleRefusedError(f"holds the instruction {name}, which plain data does not need")
 
 
 # The library's reader in C sets aside as much memory as an instruction names; the one in Python does not.
-class _Reader(pickle._Unpickler):
+_PYTHONS: Any = pickle._Unpickler
+"""Python's own reader, whose methods no stub has."""
+
+
+class _Reader(_PYTHONS):  # type: ignore[misc]  # a base without types
     """Python's own reader with fewer instructions and no functions but the stand-ins."""
 
     num_calls = 0

@@ -1,7 +1,7 @@
 """Loads the pictures of a described capture into memory, reduced and in linear light."""
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -81,8 +81,8 @@ def load_scene(
         relight_lights=tuple(manifest.relight_lights),
         train=tuple(view for split, view in views if split == scene_pb2.SPLIT_TRAIN),
         test=tuple(view for split, view in views if split == scene_pb2.SPLIT_TEST),
-        bounds_min=tuple(manifest.bounds.minimum),
-        bounds_max=tuple(manifest.bounds.maximum),
+        bounds_min=_point(manifest.bounds.minimum),
+        bounds_max=_point(manifest.bounds.maximum),
         primary=(manifest.primary_rays.near, manifest.primary_rays.far),
         secondary=(manifest.secondary_rays.near, manifest.secondary_rays.far),
         contraction_radius=manifest.contraction_radius,
@@ -121,6 +121,11 @@ def is_cut_out(manifest: scene_pb2.SceneManifest, frame: scene_pb2.Frame) -> boo
         or manifest.layout in BENCHMARKS
         or any(image.light in manifest.relight_lights for image in frame.images)
     )
+
+
+def _point(values: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    return x, y, z
 
 
 def camera_of(frame: scene_pb2.Frame) -> Camera:

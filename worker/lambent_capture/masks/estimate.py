@@ -167,9 +167,10 @@ def consistency_of(
         return Consistency(overlap=np.zeros(len(views)), explained=np.zeros(len(views)))
     against = hull.against()
     overlap, explained = [], []
-    for view, silhouette in enumerate(silhouettes):
+    for number, silhouette in enumerate(silhouettes):
         mask = silhouette.mask
-        wide = footprint(silhouette.camera, hull.points[hull.cells(against, tolerated, view)], hull.spacing)
+        cells = hull.cells(against, tolerated, number)
+        wide = footprint(silhouette.camera, hull.points[cells], hull.spacing)
         # Cells reach over the outline by about a pixel.
         seen = ndimage.binary_erosion(wide, border_value=1)
         overlap.append(float((mask & seen).sum() / max((mask | seen).sum(), 1)))

@@ -111,18 +111,19 @@ def find_on_support(
     `views` may show the object at all.
     """
     seen = prepare(small, edges=False) if prepared is None else prepared
-    beliefs = None
-    found = None
+    found: OnSupport | None = None
     for _ in range(settings.turns):
+        beliefs = None if found is None else found.agreement.beliefs
         ortho = build(support, beliefs)
-        if beliefs is None:
+        if found is None:
             ortho.known[footprint > 0.5] = 0.0
             ortho.hidden[footprint > 0.5] = True
         objects = None
-        if beliefs is not None:
-            objects = learn_colours(seen.colours, beliefs, given.known).objects
+        if found is not None:
+            beliefs = found.agreement.beliefs
+            objects = learn_colours(seen.colours, beliefs, found.given.known).objects
             if settings.stands:
-                covered = _below(support.grid, agreement)
+                covered = _below(support.grid, found.agreement)
                 ortho.known[covered] = 0.0
                 ortho.hidden[covered] = True
             ortho = uncovered(support, ortho, beliefs, objects, distance)
@@ -138,7 +139,6 @@ def find_on_support(
         progress()
         if agreement is None:
             return None
-        beliefs = agreement.beliefs
         found = OnSupport(agreement=agreement, odds=odds, given=given)
     return found
 
@@ -169,7 +169,7 @@ def first_footprint(
         corners = cv2.convexHull(np.round(grid.texels_of(inner)).astype(np.int32))
         cv2.fillConvexPoly(mask, corners, 1)
         grow = 2 * int(np.ceil(0.02 * distance / grid.texel)) + 1
-        mask = cv2.dilate(mask, np.ones((grow, grow), np.uint8))
+        mask = np.asarray(cv2.dilate(mask, np.ones((grow, grow), np.uint8)), np.uint8)
     else:
         middle = round(0.5 * grid.cells)
         cv2.circle(mask, (middle, middle), round(settings.first_radius * distance / grid.texel), 1, -1)

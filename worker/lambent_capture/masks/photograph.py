@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -62,10 +63,7 @@ def photographs_of(folder: Path, manifest: scene_pb2.SceneManifest) -> list[Phot
 
 def of_pictures(views: Sequence[MaskView]) -> list[Photograph]:
     """Return pictures that are decoded already as photographs."""
-    return [
-        Photograph(view.name, view.camera, lambda side, view=view: _limited(view.image_srgb, side))
-        for view in views
-    ]
+    return [Photograph(view.name, view.camera, partial(_limited, view.image_srgb)) for view in views]
 
 
 def _file_reader(folder: Path, frame: scene_pb2.Frame, manifest: scene_pb2.SceneManifest) -> Read:

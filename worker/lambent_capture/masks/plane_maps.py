@@ -87,8 +87,8 @@ def seen_pixels(camera: PictureCamera, grid: OrthoGrid) -> Float32[ndarray, "cel
     coarse = np.where(usable[:, None], pixels, 100.0 * NOWHERE).reshape(len(along), len(along), 2)
     fine = _fine(coarse.astype(np.float32), (grid.cells, grid.cells))
     limits = np.array([camera.width, camera.height], dtype=np.float32) - np.float32(0.5)
-    shown = ((fine > -0.5) & (fine < limits)).all(axis=-1)
-    return np.where(shown[..., None], fine, np.float32(NOWHERE))
+    shown = ((fine > -0.5) & (fine < limits)).all(axis=-1, keepdims=True)
+    return np.where(shown, fine, np.float32(NOWHERE))
 
 
 def _coarse(size: int) -> Float64[ndarray, " positions"]:

@@ -88,7 +88,7 @@ def neighbours(offsets: Float64[ndarray, "views 3"], settings: TriangulateSettin
 def _features(photograph: Photograph, settings: TriangulateSettings) -> _Features:
     view = photograph.reduced(settings.side)
     grey = cv2.cvtColor(view.image_srgb, cv2.COLOR_RGB2GRAY)
-    finder = cv2.SIFT_create(nfeatures=settings.features, contrastThreshold=settings.contrast)
+    finder = cv2.SIFT.create(nfeatures=settings.features, contrastThreshold=settings.contrast)
     keypoints, descriptors = finder.detectAndCompute(grey, None)
     if descriptors is None or not len(keypoints):
         return _Features(view.camera, np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 128), np.float32))

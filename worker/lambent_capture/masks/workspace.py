@@ -3,6 +3,7 @@
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float16, Float32, Float64, Int8, UInt8
@@ -72,7 +73,7 @@ class Workspace:
         arrays |= {name: getattr(self, name) for name in _VECTORS}
         arrays |= {"frame_origin": self.frame.origin, "frame_axes": self.frame.axes}
         arrays["camera_to_world"] = np.array([camera.camera_to_world for camera in self.cameras])
-        np.savez(folder / _ARRAYS, **arrays)
+        np.savez(folder / _ARRAYS, allow_pickle=False, **arrays)
         about = {
             "version": VERSION,
             "names": self.names,
@@ -126,14 +127,15 @@ class Workspace:
             )
             for each, pose in zip(about["cameras"], poses, strict=True)
         )
-        per_view = {
+        per_view: dict[str, Any] = {
             name: tuple(arrays[f"{name}_{number}"] for number in range(len(cameras))) for name in _PER_VIEW
         }
+        vectors: dict[str, Any] = {name: arrays[name] for name in _VECTORS}
         return cls(
             names=tuple(about["names"]),
             cameras=cameras,
             frame=Frame(origin=arrays["frame_origin"], axes=arrays["frame_axes"]),
-            **{name: arrays[name] for name in _VECTORS},
+            **vectors,
             distance=about["distance"],
             has_support=about["has_support"],
             rounds=ConsensusSettings(

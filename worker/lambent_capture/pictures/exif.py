@@ -105,7 +105,8 @@ def exif_tags(path: Path) -> tuple[dict[int, Any], dict[int, Any]]:
     Raises `PictureError` for a file that cannot be opened.
     """
     is_tiff = picture_format(path) == "TIFF"
-    with path.open("rb") if is_tiff else opened(path) as source:
+    either: Any = path.open("rb") if is_tiff else opened(path)
+    with either as source:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")

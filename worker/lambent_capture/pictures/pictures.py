@@ -284,9 +284,11 @@ def _eight_bit(
     if mode not in ("L", "LA", "RGB", "RGBA"):
         usual = "RGBA" if image.has_transparency_data else "RGB"
         mode = {"1": "L", "La": "LA", "RGBa": "RGBA"}.get(mode, usual)
-    plain = image if mode == image.mode else image.convert(mode)
+    converted = image if mode == image.mode else image.convert(mode)
     # Here, and not once the pixels are an array: a large picture would be in memory twice.
-    pixels = np.asarray(plain if plain.size == size else plain.resize(size, _BOX, reducing_gap=2.0))
+    pixels = np.asarray(
+        converted if converted.size == size else converted.resize(size, _BOX, reducing_gap=2.0)
+    )
     if mode == "L":
         return pixels[..., None], None
     if mode == "RGB":

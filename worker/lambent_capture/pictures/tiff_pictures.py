@@ -2,6 +2,7 @@
 
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tifffile
@@ -26,7 +27,7 @@ def tiff_size(path: Path) -> tuple[int, int]:
 
 def is_deep_tiff(path: Path) -> bool:
     """Return whether a channel has 16 or 32 bits. Raises `PictureError` as `tiff_size` does."""
-    bits = _page(path).bitspersample
+    bits: Any = _page(path).bitspersample
     return max(bits if isinstance(bits, tuple) else (bits,)) > 8
 
 
@@ -68,7 +69,7 @@ def deep_tiff_pixels(
         pixels = pixels[:, ::-1]
     levels = pixels[..., :colours]
     if page.photometric == 0:
-        levels = (1.0 if kind.kind == "f" else np.iinfo(kind).max) - levels
+        levels = (1.0 if kind.kind == "f" else np.iinfo(kind.str).max) - levels
     extra = [int(sample) for sample in page.extrasamples]
     if not extra or pixels.shape[-1] == colours or extra[0] not in (_ASSOCIATED, 2):
         return np.ascontiguousarray(levels), None, bytes(page.iccprofile or b"")

@@ -39,11 +39,14 @@ def solve_apart(
     }
     work.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-P", "-m", "lambent_capture.poses.apart"]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with (work / "colmap.log").open("wb") as log:
         # Ctrl-C is for this process: `progress` raises, or KeyboardInterrupt ends the child below.
         with held_back("SIGINT"):
-            child = subprocess.Popen(command, stderr=log, **pipes)
+            child = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True
+            )
+        assert child.stdin is not None
+        assert child.stdout is not None
         try:
             child.stdin.write(json.dumps(order))
             child.stdin.close()

@@ -71,7 +71,7 @@ def covered_box(coverage: Float32[ndarray, "height width"], camera: scene_pb2.Ca
     of `LENS_SIDE`.
     """
     covered = coverage >= COVERED
-    columns, rows = _extent(covered.any(axis=0)), _extent(covered.any(axis=1))
+    columns, rows = _extent(np.any(covered, axis=0)), _extent(np.any(covered, axis=1))
     if columns is None or rows is None:
         return None
     if camera.HasField("lens"):
