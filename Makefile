@@ -123,7 +123,7 @@ strangers: $(VENV)/.installed ## Read captures of every combination of format, c
 mutants: $(VENV)/.installed ## Make mistakes on purpose and see which test notices each (half an hour; MUTANTS_ARGS="--group server")
 	$(BIN)/python tests/mutants.py $(MUTANTS_ARGS)
 
-CHECKS := check-style check-contracts check-texts check-dependencies check-schemas $(if $(wildcard $(WEB)/package.json),check-web)
+CHECKS := check-style check-types check-contracts check-texts check-dependencies check-schemas $(if $(wildcard $(WEB)/package.json),check-web)
 .PHONY: $(CHECKS)
 
 check: $(CHECKS) ## Check style, import contracts, schemas, links and the web client's types (-k lists all findings)
@@ -131,6 +131,9 @@ check: $(CHECKS) ## Check style, import contracts, schemas, links and the web cl
 check-style: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+check-types: $(VENV)/.installed
+	$(BIN)/mypy
 
 check-contracts: $(VENV)/.installed
 	$(BIN)/lint-imports --no-logo
