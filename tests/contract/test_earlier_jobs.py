@@ -4,11 +4,11 @@ import pytest
 from flashcache.config import SIZE_STEP
 from flashcache.errors import ConfigError
 from lambent_proto.v1 import job_pb2, worker_pb2
-from lambent_server import job_parameters
-from lambent_worker.job.order import Order
-from lambent_worker.job.process import train
-from lambent_worker.run import pipeline
-from lambent_worker.run.spec import RunSpec
+from lambent_run.job.order import Order
+from lambent_run.job.process import train
+from lambent_run.run import pipeline
+from lambent_run.run.spec import RunSpec
+from lambent_server.api import parameters as job_parameters
 from support.recording_reporter import RecordingReporter
 
 

@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from lambent_server import job_counts
+from lambent_server.api.search import named
 from lambent_server.database.engine import Database
 from lambent_server.database.schema import jobs, metadata, scenes
 from lambent_server.database.tenancy import Tenant, across_tenants
-from lambent_server.scene_search import named
+from lambent_server.jobs import counts as job_counts
 from sqlalchemy import delete, func, insert, inspect, text, update
 from sqlalchemy.exc import DBAPIError
 from support.databases import without_tables

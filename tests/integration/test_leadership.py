@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from lambent_server.cluster.membership import Membership, members
+from lambent_server.cluster.shared_secrets import SHARE, WORKER, shared_secret
+from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
 from lambent_server.database.leadership import Leadership
-from lambent_server.membership import Membership, members
-from lambent_server.settings import Settings
-from lambent_server.shared_secrets import SHARE, WORKER, shared_secret
 from sqlalchemy import text
 from support.databases import postgresql
 from support.live_server import wait_until

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 from google.protobuf import json_format
+from lambent_asset.bundle.glb import write_glb
+from lambent_asset.textures.surface import AtlasSurface
+from lambent_asset.textures.textures import TextureSet, tangent_normals
+from lambent_core.directions import pixel_directions
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.baked.raster import nearest_texel, rasterise
 from lambent_relight.cameras import Camera
-from lambent_relight.directions import pixel_directions
 from lambent_relight.environment.maps import write_environment
-from lambent_worker.bundle.glb import write_glb
-from lambent_worker.bundle.surface import AtlasSurface
-from lambent_worker.bundle.textures import TextureSet, tangent_normals
 from support.analytic_bundle import write_manifest
 from support.baked_bundle import quads_of, write_baked_bundle
 from support.quad_surface import surface_of

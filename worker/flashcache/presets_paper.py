@@ -6,6 +6,7 @@ memory per step: docs/benchmarks/paper-step.md.
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 from flashcache.caches.fast_cache import FastCacheConfig
 from flashcache.caches.nerf_cache import NerfCacheConfig
@@ -110,7 +111,7 @@ def paper_openillumination() -> Config:
 def paper_glossy() -> Config:
     """Return the supplement's settings for Glossy Synthetic."""
     base = paper_tensoir()
-    shape = {
+    shape: dict[str, Any] = {
         "mask_weight": 10.0,
         "distortion_weight": 0.01,
         "orientation_weight": 0.01,
@@ -141,7 +142,7 @@ def _with_exponent(config: Config, exponent: float) -> Config:
     )
 
 
-def _with_shape(config: Config, **settings: float) -> Config:
+def _with_shape(config: Config, **settings: Any) -> Config:
     """Return `config` with loss weights on shape changed in both stages."""
     return replace(
         config,

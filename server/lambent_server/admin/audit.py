@@ -9,7 +9,7 @@ from lambent_server.accounts import audit
 from lambent_server.accounts.who import operator
 from lambent_server.admin.opened import JsonOption, YesOption, age, opened
 from lambent_server.cli import DatabaseOption, DataOption
-from lambent_server.clock import now, rfc3339
+from lambent_server.core.clock import now, rfc3339
 from lambent_server.database.tenancy import Tenant
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="The audit log of each organisation.")

@@ -16,15 +16,15 @@ from lambent_server.admin.audit import app as audit_app
 from lambent_server.admin.jobs import jobs
 from lambent_server.admin.opened import JsonOption, StoreOption, opened, print_rows
 from lambent_server.cli import DatabaseOption, DataOption, keys
-from lambent_server.clock import rfc3339
+from lambent_server.cluster.membership import members
+from lambent_server.cluster.server_state import DRAIN, MAINTENANCE, announce, read, withdraw
+from lambent_server.core.clock import rfc3339
 from lambent_server.database.schema import jobs as job_table
 from lambent_server.database.service_schema import webhook_deliveries
 from lambent_server.database.tenancy import across_tenants
-from lambent_server.decoding import probe
-from lambent_server.job_rows import FINAL, HAS_RUN
-from lambent_server.membership import members
-from lambent_server.server_state import DRAIN, MAINTENANCE, announce, read, withdraw
+from lambent_server.jobs.rows import FINAL, HAS_RUN
 from lambent_server.services import Services
+from lambent_server.storage.decoding import probe
 
 app = typer.Typer(
     add_completion=False,
@@ -160,7 +160,8 @@ def reconcile(data: DataOption = None, database: DatabaseOption = None, store: S
     A running server does the same at its start and every hour. Exit code 1 when bytes are missing.
     """
     # Slow to import: the whole server.
-    from lambent_server import reconciler, serving
+    from lambent_server import serving
+    from lambent_server.running import reconciler
 
     with opened(data, database, store, with_store=True) as services:
         try:

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import typer
 from sqlalchemy import Connection
 
-from lambent_server import job_queries, render_rows
 from lambent_server.accounts import audit
 from lambent_server.accounts.who import operator
 from lambent_server.admin.opened import (
@@ -20,13 +19,15 @@ from lambent_server.admin.opened import (
     opened,
     print_rows,
 )
+from lambent_server.api.problems import Problem
 from lambent_server.cli import DatabaseOption, DataOption
-from lambent_server.clock import now, rfc3339
+from lambent_server.core.clock import now, rfc3339
 from lambent_server.database.schema import job_labels
 from lambent_server.database.schema import jobs as job_table
 from lambent_server.database.tenancy import across_tenants
-from lambent_server.job_rows import CANCELLED, FAILED, FINAL, owner
-from lambent_server.problems import Problem
+from lambent_server.jobs import queries as job_queries
+from lambent_server.jobs.rows import CANCELLED, FAILED, FINAL, owner
+from lambent_server.renders import rows as render_rows
 from lambent_server.services import Services
 
 LIMIT = 10_000

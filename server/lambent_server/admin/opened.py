@@ -11,14 +11,14 @@ import typer
 from pydantic import ValidationError
 from sqlalchemy.exc import SQLAlchemyError
 
+from lambent_server.api.problems import Problem
 from lambent_server.cli import database_of, settings_of
+from lambent_server.cluster.wakeups import Wakeups
+from lambent_server.core.secrets import SecretError
 from lambent_server.database.latest_time import begin_time
 from lambent_server.executors.local import count_gpus
-from lambent_server.problems import Problem
-from lambent_server.secrets import SecretError
 from lambent_server.services import Capacity, Services, s3_options
-from lambent_server.store import BlobStore
-from lambent_server.wakeups import Wakeups
+from lambent_server.storage.store import BlobStore
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, one object per line, for machines.")]
 TenantOption = Annotated[str, typer.Option(help="Only of this tenant.")]

@@ -9,15 +9,15 @@ from typing import Annotated, Any
 import typer
 from sqlalchemy import Connection
 
-from lambent_server import erasure, housekeeping
 from lambent_server.accounts import audit, organisations, quotas, usage, users
 from lambent_server.accounts.organisations import ID_PATTERN
 from lambent_server.accounts.who import operator
 from lambent_server.admin.opened import JsonOption, StoreOption, YesOption, opened, print_rows
 from lambent_server.cli import DatabaseOption, DataOption
-from lambent_server.clock import now, rfc3339
+from lambent_server.core.clock import now, rfc3339
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
-from lambent_server.job_queries import num_unfinished, promised_gpu_minutes
+from lambent_server.jobs.queries import num_unfinished, promised_gpu_minutes
+from lambent_server.maintenance import erasure, housekeeping
 from lambent_server.services import Services
 
 app = typer.Typer(

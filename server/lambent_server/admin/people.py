@@ -6,15 +6,14 @@ import typer
 from pydantic import ValidationError
 from sqlalchemy import Connection
 
-from lambent_server import keys
-from lambent_server.accounts import audit, organisations, users
+from lambent_server.accounts import audit, keys, organisations, users
 from lambent_server.accounts.who import operator
 from lambent_server.admin.opened import JsonOption, YesOption, age, opened, print_rows
+from lambent_server.api.problems import Problem, not_found
 from lambent_server.cli import DatabaseOption, DataOption
-from lambent_server.clock import now, rfc3339
+from lambent_server.core.clock import now, rfc3339
 from lambent_server.database.schema import api_keys
 from lambent_server.database.tenancy import Tenant, across_tenants
-from lambent_server.problems import Problem, not_found
 
 app = typer.Typer(
     add_completion=False,

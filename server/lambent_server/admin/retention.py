@@ -5,13 +5,13 @@ from typing import Annotated, Any
 
 import typer
 
-from lambent_server import retention
 from lambent_server.accounts import audit, organisations
 from lambent_server.accounts.who import operator
 from lambent_server.admin.opened import JsonOption, YesOption, age, opened, print_rows
 from lambent_server.cli import DatabaseOption, DataOption
-from lambent_server.clock import rfc3339
+from lambent_server.core.clock import rfc3339
 from lambent_server.database.tenancy import Tenant
+from lambent_server.maintenance import retention
 
 app = typer.Typer(
     add_completion=False,

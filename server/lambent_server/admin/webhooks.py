@@ -5,18 +5,18 @@ from typing import Annotated, Any
 import typer
 from sqlalchemy import Connection
 
-from lambent_server import webhook_rows
 from lambent_server.accounts import audit
 from lambent_server.accounts.who import operator
 from lambent_server.admin.opened import JsonOption, OlderOption, TenantOption, age, opened, print_rows
+from lambent_server.api.problems import Problem, not_found
 from lambent_server.cli import DatabaseOption, DataOption
-from lambent_server.clock import now
+from lambent_server.core.clock import now
 from lambent_server.database.service_schema import webhook_deliveries, webhooks
 from lambent_server.database.tenancy import Tenant, across_tenants
-from lambent_server.problems import Problem, not_found
 from lambent_server.services import Services
-from lambent_server.webhook_messages import WebhookChange
-from lambent_server.webhook_outbox import host_of
+from lambent_server.webhooks import rows as webhook_rows
+from lambent_server.webhooks.messages import WebhookChange
+from lambent_server.webhooks.outbox import host_of
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Webhooks of all tenants, and their deliveries."

@@ -1,7 +1,7 @@
 """The NeRF radiance cache: density, normals and outgoing radiance along sampled rays."""
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from jaxtyping import Float, Int
@@ -161,7 +161,7 @@ class NerfCache(nn.Module):
         generator: torch.Generator | None,
     ) -> RaySamples:
         """Return the final intervals of `rays`; see `sample_rays`."""
-        first, second = (field.density for field in self.proposals)
+        first, second = (cast(DensityField, field).density for field in self.proposals)
         return sample_rays(rays, (first, second), counts, curve, exponent=exponent, generator=generator)
 
     def trace(

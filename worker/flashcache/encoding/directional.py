@@ -1,6 +1,7 @@
 """Encodings of directions and positions by fixed functions: frequencies and integrated harmonics."""
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -32,6 +33,12 @@ class IntegratedDirectionalEncoding(nn.Module):
     Degree l gives real and imaginary parts of the orders 0 to l; with `num_degrees` 5 these are 72 numbers.
     """
 
+    polynomials: Tensor
+    slopes: Tensor
+    orders: Tensor
+    rates: Tensor
+    term_orders: Tensor
+
     def __init__(self, num_degrees: int) -> None:
         super().__init__()
         degrees = [2**i for i in range(num_degrees)]
@@ -43,7 +50,9 @@ class IntegratedDirectionalEncoding(nn.Module):
         for column, (degree, order) in enumerate(terms):
             polynomial = Legendre.basis(degree).convert(kind=Chebyshev).deriv(order)
             for target, series in ((matrix, polynomial), (slopes, polynomial.deriv())):
-                target[: len(series.coef), column] = _normalisation(degree, order) * series.coef
+                target[: len(series.coef), column] = _normalisation(degree, order) * np.asarray(
+                    series.coef, np.float64
+                )
         orders = np.array([order for _, order in terms])
         constants = {
             "polynomials": matrix,
@@ -79,7 +88,8 @@ class _Encoded(torch.autograd.Function):
     """The encoding with its derivatives written out: as a chain of small steps it costs twice as much."""
 
     @staticmethod
-    def forward(ctx, directions, inverse_concentration, polynomials, slopes, orders, rates) -> Tensor:
+    def forward(ctx: Any, *inputs: Tensor) -> Tensor:
+        directions, inverse_concentration, polynomials, slopes, orders, rates = inputs
         x, y, z = directions.unbind(dim=-1)
         chebyshev = _chebyshev(z, len(polynomials))
         real, imaginary = _powers(x, y, len(polynomials))
@@ -94,7 +104,7 @@ class _Encoded(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, gradient: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         chebyshev, real, imaginary, cosine, sine, along_z, attenuation, slopes, orders, rates = (
             ctx.saved_tensors
         )

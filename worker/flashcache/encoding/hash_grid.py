@@ -55,6 +55,8 @@ class HashGrid(nn.Module):
     with others is refused by `load_state_dict`.
     """
 
+    levels: Tensor
+
     def __init__(self, config: HashGridConfig) -> None:
         super().__init__()
         resolutions = level_resolutions(config.base_resolution, config.finest_resolution, config.num_levels)

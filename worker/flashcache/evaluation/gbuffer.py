@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float, Float32
+from lambent_core.scene import Camera
 from numpy import ndarray
 from torch import Tensor
 
 from flashcache.color import perceptual_roughness_from_alpha
-from flashcache.data.scene import Camera
 from flashcache.evaluation.threads import on_all_cores
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 from flashcache.physical.model import InverseModel
@@ -72,9 +72,9 @@ def render_gbuffer(model: InverseModel, camera: Camera, *, light: int = 0) -> GB
         values[some] = _surface(model, rays.select(some), light)
 
     on_all_cores(fill, hits.split(CHUNK_RAYS) if len(hits) else (), device)
-    values = values.reshape(camera.height, camera.width, 13).cpu().numpy()
+    picture = values.reshape(camera.height, camera.width, 13).cpu().numpy()
     opacity, distance, normal, albedo, width, metalness, colour = np.split(
-        values, [1, 2, 5, 8, 9, 10], axis=-1
+        picture, [1, 2, 5, 8, 9, 10], axis=-1
     )
     return GBuffer(camera, opacity, distance, normal, albedo, width, metalness, colour)
 

@@ -56,6 +56,9 @@ VGG16 = Backbone(
 class Lpips(nn.Module):
     """The distance; `name` is "alex" or "vgg"."""
 
+    shift: Tensor
+    scale: Tensor
+
     def __init__(self, backbone: Backbone, weights: Mapping[str, Tensor]) -> None:
         super().__init__()
         self.name = backbone.name

@@ -6,9 +6,9 @@ mixes two, and a point of a texture where it has an average.
 
 import numpy as np
 from jaxtyping import Float32
+from lambent_core.scene import Camera
 from numpy import ndarray
 
-from flashcache.data.scene import Camera
 from flashcache.errors import ConfigError
 from flashcache.evaluation.gbuffer import OPACITY_FLOOR, GBuffer
 from flashcache.evaluation.monte_carlo import Picture
@@ -78,7 +78,7 @@ def mean_gbuffer(buffer: GBuffer, camera: Camera, antialias: int) -> GBuffer:
         camera=camera,
         opacity=opacity,
         distance=np.where(empty, np.float32(0.0), mean(buffer.distance)),
-        normal=np.where(empty, np.float32([0.0, 0.0, 1.0]), normal),
+        normal=np.where(empty, np.array([0.0, 0.0, 1.0], np.float32), normal),
         albedo=mean(buffer.albedo),
         perceptual_roughness=mean(buffer.perceptual_roughness),
         metalness=mean(buffer.metalness),

@@ -6,6 +6,7 @@ are float32 with a free first axis.
 
 import json
 from collections.abc import Mapping
+from typing import cast
 
 import numpy as np
 import onnx
@@ -159,7 +160,9 @@ def _cache_graph(
     features = graph.reshape(features, -1, count, fast.feature_grid.out_features)
     values = graph.reduce("ReduceSum", graph.unsqueeze(weight, 2) * features, axis=1, keep=False)
     for index, layer in enumerate(fast.decoder):
-        values = graph.node("Relu", layers.linear(graph, f"{prefix}.decoder.{index}", layer, values))
+        values = graph.node(
+            "Relu", layers.linear(graph, f"{prefix}.decoder.{index}", cast(torch.nn.Linear, layer), values)
+        )
     decoder_head = fast.decoder_head
     colour = layers.affine(graph, head_name, decoder_head.weight[rows], decoder_head.bias[rows], values)
 

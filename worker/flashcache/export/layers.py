@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +74,7 @@ def hidden(graph: GraphBuilder, name: str, network: Hidden, inputs: Value) -> Va
     for index, layer in enumerate(network.layers):
         if index == network.skip_after:
             values = graph.concat([values, inputs])
-        values = linear(graph, f"{name}.layers.{index}", layer, values)
+        values = linear(graph, f"{name}.layers.{index}", cast(nn.Linear, layer), values)
         with graph.part(f"{name}.layers.{index}"):
             if network.softplus_beta is None:
                 values = graph.node("Relu", values)

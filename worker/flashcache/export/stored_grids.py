@@ -1,6 +1,7 @@
 """The feature grids that a bundle stores, and the modules they come from."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -36,7 +37,7 @@ def trained_grids(model: InverseModel) -> list[HashGrid | Occupancy]:
 def _parts(model: InverseModel) -> dict[str, list[HashGrid | Occupancy]]:
     """Return the modules of each stored grid; what a model does not have is left out."""
     gloss = None if model.materials.gloss is None else model.materials.gloss.grid
-    parts = {
+    parts: dict[str, list[Any]] = {
         "nerf.density.grid": [model.nerf.density.grid],
         "materials.grid": [model.materials.grid, gloss],
         "fast.distance_grid": [model.fast.distance_grid],

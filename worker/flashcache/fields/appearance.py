@@ -189,6 +189,7 @@ class AppearanceField(nn.Module):
         code = self.directional(omega_f, width)
         if self.config.architecture == "fast_like":
             # Differs from the paper: a far field of its own (docs/decisions/0019-small-departures.md).
+            assert self.reflected is not None
             far = self._from_directions([code, *turn], light_index)
             near = self.reflected(positions, omega_r, light_index)
             return near.near_radiance + (1.0 - near.opacity)[:, None] * far

@@ -44,7 +44,7 @@ class Box(NamedTuple):
 class Scratch(NamedTuple):
     """Memory for a block of points: those that may hold something, one after another."""
 
-    index: NDArray[np.int64]
+    index: NDArray[np.int64]  # type: ignore[assignment]  # hides `tuple.index`
     """Their numbers among all points."""
     contracted: NDArray[np.float32]
     shares: NDArray[np.float32]

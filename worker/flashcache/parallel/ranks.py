@@ -65,7 +65,7 @@ class Ranks:
         with _telling_of_loss():
             dist.init_process_group(
                 "nccl" if on_gpu else "gloo",
-                store=dist.FileStore(str(meeting), count),
+                store=dist.FileStore(str(meeting), count),  # type: ignore[attr-defined]  # the stub lacks it
                 rank=number,
                 world_size=count,
                 timeout=timedelta(seconds=step_timeout_s),

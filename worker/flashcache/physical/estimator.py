@@ -208,6 +208,7 @@ def relight(
     """
     cosine = CosineLobe(points.normal)
     lobe = GgxLobe(points.omega_o, points.normal, materials.alpha)
+    strategies: list[tuple[Strategy, list[int]]]
     if light is None:
         strategies = [(cosine, [counts.cosine + counts.sampler]), (lobe, [counts.specular])]
     else:
@@ -239,10 +240,10 @@ def _ask(
         if not apart:
             both = fast(rays)
             parts = (slice(None, num_exact), slice(num_exact, None))
-            head, tail = (
+            head, last = (
                 Incident(both.near_radiance[part], both.opacity[part], both.distance[part]) for part in parts
             )
-            return exact_nerf, head, tail
+            return exact_nerf, head, last
         tail = fast(rest)
     return exact_nerf, fast(exact), tail
 

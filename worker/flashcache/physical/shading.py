@@ -117,13 +117,14 @@ class DrawnDirections:
         """
         with torch.no_grad():
             like = points.positions
-            halves = tuple(
+            first, second = (
                 draw_directions(half, generator, like, stratified=stratified, continued=continued)
                 for half in (diffuse, specular)
             )
+            halves = (first, second)
             omega_i = torch.cat([half.omega_i for half in halves], dim=1)
             above = dot(points.normal.unsqueeze(1), omega_i).squeeze(-1) > 0.0
-            num_exact = tuple(sum(counts[0] for _, counts in half) for half in (diffuse, specular))
+            num_exact = (sum(counts[0] for _, counts in diffuse), sum(counts[0] for _, counts in specular))
             position = torch.arange(above.numel(), device=like.device).reshape(above.shape)
             counted = above if which is None else above & which[:, None]
             parts, flags = [], []
@@ -133,6 +134,7 @@ class DrawnDirections:
                 parts.append(rows.of(torch.cat([position[:, some] for some in own], dim=1).reshape(-1)))
                 flags.append(rows.counted)
             index = torch.cat(parts)
+            known = [flag for flag in flags if flag is not None]
             owner = index.div(omega_i.shape[1], rounding_mode="floor")
             origins = points.positions + limits.origin_offset * points.normal
             rays = SecondaryRays(
@@ -141,7 +143,7 @@ class DrawnDirections:
                 near=limits.near,
                 far=limits.far,
                 light_index=points.light_index[owner],
-                counted=torch.cat(flags) if shapes_are_fixed() else None,
+                counted=torch.cat(known) if shapes_are_fixed() else None,
                 num_points=len(like),
             )
         return DrawnDirections(points, halves, omega_i, above, num_exact, index, len(parts[0]), rays)

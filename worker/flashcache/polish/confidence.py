@@ -12,6 +12,7 @@ normal and what near surfaces send count as known.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -72,7 +73,7 @@ class Confidence:
     def load(cls, path: Path) -> "Confidence":
         """Return what `save` wrote; raises `TrainingError` when the file is damaged."""
         try:
-            found = load_file(path)
+            found: dict[str, Any] = load_file(path)
             return cls(**(found | {"size": float(found["size"])}))
         except (OSError, KeyError, TypeError, SafetensorError) as error:
             raise TrainingError(

@@ -104,11 +104,11 @@ class CacheLosses:
         """Return what is computed in a step."""
         config, fraction = self.config, step / self.config.num_steps
         return CachePhase(
-            with_normals=self.numbers(step).normal_weight > 0.0 and step % config.normal_every == 0,
+            with_normals=bool(self.numbers(step).normal_weight > 0.0) and step % config.normal_every == 0,
             with_specular=fraction >= config.specular_from,
             carves=fraction < config.carving_share,
             with_distortion=fraction >= config.distortion_from,
-            with_flatness=self.numbers(step).flatness_weight > 0.0,
+            with_flatness=bool(self.numbers(step).flatness_weight > 0.0),
         )
 
     def numbers(self, step: int) -> CacheNumbers:
@@ -126,7 +126,7 @@ class CacheLosses:
         if self._held is None:
             self._held = CacheNumbers(*(torch.zeros((), device=device) for _ in CacheNumbers._fields))
         for place, value in zip(self._held, self.numbers(step), strict=True):
-            place.fill_(value)
+            torch.as_tensor(place).fill_(value)
 
     def _picture_terms(
         self,
@@ -201,6 +201,7 @@ class CacheLosses:
     def _cells(self, model: InverseModel) -> Tensor:
         """Return the indices [cells, 3] of the occupied cells, which do not change during the stage."""
         if self._known_cells is None:
+            assert model.nerf.occupancy is not None
             self._known_cells = model.nerf.occupancy.cells.nonzero()
         return self._known_cells
 

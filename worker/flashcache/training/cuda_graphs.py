@@ -8,7 +8,7 @@ phases, have graphs of their own. Tests without a GPU have a stand-in for `CudaC
 
 from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -26,7 +26,7 @@ WARM_UP = 3
 CHECKED = 2
 """First steps of a graph that are compared with the same step without it: the second one has other seeds,
 rates and weights than the captured one."""
-TOLERANCES = {"rtol": 0.02, "atol": 1e-4}
+TOLERANCES: dict[str, Any] = {"rtol": 0.02, "atol": 1e-4}
 """Of these comparisons; sums depend on the order of additions."""
 
 
@@ -134,8 +134,8 @@ class Graphs:
 
         def captured() -> Tensor:
             values = _with_gradient(differentiate(), steps)
-            steps.apply(values[GRADIENT])
-            return torch.stack(list(values.values()))
+            steps.apply(torch.as_tensor(values[GRADIENT]))
+            return torch.stack([torch.as_tensor(value) for value in values.values()])
 
         assert self._capture is not None
         try:

@@ -134,7 +134,8 @@ def material_terms(
     with_gloss: bool = True,
 ) -> Terms:
     """Return the priors on materials, without `with_gloss` smoothness alone: the others wait."""
-    points, terms = shaded.points, {}
+    points = shaded.points
+    terms: Terms = {}
     if config.smoothness_weight:
         shape, device = points.positions.shape, points.positions.device
         step = config.smoothness_step * normal(shape, generator, device)
@@ -142,14 +143,15 @@ def material_terms(
         with torch.no_grad():
             hidden = model.nerf.density(nearby).hidden
             moved = model.nerf.appearance(nearby, hidden, points.normal, points.omega_o, points.light_index)
-            guesses = [
+            here, there = (
                 pseudo_albedo(getattr(found, config.pseudo_albedo), found.irradiance)
                 for found in (Appearance(*(part[shaded.index] for part in appearance)), moved)
-            ]
+            )
         terms["smoothness"] = config.smoothness_weight * smoothness(
             shaded.materials,
             model.materials(nearby),
-            *guesses,
+            here,
+            there,
             covered(batch, points),
             guided=config.smoothness_guide,
         )
@@ -239,7 +241,8 @@ def in_reach(model: InverseModel, rays: SecondaryRays) -> Float[Tensor, " rays"]
 
 def secondary_terms(model: InverseModel, config: StageTwoConfig, shaded: Shaded) -> Terms:
     """Return the losses that train the fast cache and the light sampler on the exact rays."""
-    exact, terms = shaded.estimate.exact, {}
+    exact = shaded.estimate.exact
+    terms: dict[str, Tensor] = {}
     if exact is None:
         return terms
     if exact.fast is not None:

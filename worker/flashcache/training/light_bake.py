@@ -22,7 +22,7 @@ from flashcache.geometry.directions import facing
 from flashcache.losses.consistency import consistency
 from flashcache.physical.brdf import Materials
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, estimate
-from flashcache.physical.incident import Incident, RayLimits, SecondaryRays
+from flashcache.physical.incident import Incident, RadianceSource, RayLimits, SecondaryRays
 from flashcache.physical.sampling import CosineLobe, GgxLobe, Strategy
 from flashcache.physical.shading import ShadingPoints
 from flashcache.randomness import generator_for
@@ -224,7 +224,14 @@ class LightBake:
             )
         return met.weight[:, None] * found
 
-    def _shaded(self, points, materials, source, counts, generator) -> Tensor:
+    def _shaded(
+        self,
+        points: ShadingPoints,
+        materials: Materials,
+        source: RadianceSource,
+        counts: DirectionCounts,
+        generator: torch.Generator,
+    ) -> Tensor:
         # Lobes with directions of their own: the loss is sensitive to noise, and white walls are diffuse.
         sampler, shared = self.light.sampler, counts.specular // 2
         lobe = GgxLobe(points.omega_o, points.normal, materials.alpha)

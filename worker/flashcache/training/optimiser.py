@@ -125,11 +125,11 @@ def take_masked_step(
     largest = largest_gradient(optimiser) if largest is None else largest
     skipped = torch.isfinite(largest).logical_not().to(torch.float32)
     # Fused Adam leaves everything as it was where this is 1, its count of steps too; as with a GradScaler.
-    optimiser.grad_scale, optimiser.found_inf = None, skipped
+    vars(optimiser).update(grad_scale=None, found_inf=skipped)
     try:
         optimiser.step()
     finally:
-        del optimiser.grad_scale, optimiser.found_inf
+        del vars(optimiser)["grad_scale"], vars(optimiser)["found_inf"]
     return skipped
 
 

@@ -119,7 +119,8 @@ class Parts:
             results = self._processes.ask(questions, self._own)
         with threads_of_operations(self.count), torch.no_grad():
             for gradients in self._gradients:
-                torch._foreach_add_([p.grad for p in self._own.parameters], gradients)
+                own = [p.grad for p in self._own.parameters if p.grad is not None]
+                torch._foreach_add_(own, tuple(gradients))
         return results
 
 
@@ -159,7 +160,7 @@ def share_values(model: nn.Module, num_gradients: int, trained: Sequence[nn.Para
 def numbers(terms: Mapping[str, Tensor]) -> dict[str, Number]:
     """Return the values of loss terms; with fixed shapes they stay on the device, for who will wait."""
     values = {name: value.detach() for name, value in terms.items()}
-    return values if shapes_are_fixed() else {name: float(value) for name, value in values.items()}
+    return {name: value if shapes_are_fixed() else float(value) for name, value in values.items()}
 
 
 def mean_terms(parts: Sequence[Mapping[str, Number]]) -> dict[str, Number]:

@@ -32,7 +32,7 @@ def composite(
 class PointDraw(NamedTuple):
     """K of the N quadrature points of each ray, drawn in proportion to their weights."""
 
-    index: Int[Tensor, "rays points"]
+    index: Int[Tensor, "rays points"]  # type: ignore[assignment]  # hides `tuple.index`
     """Position of the drawn point among the ray's samples."""
     weight: Float[Tensor, "rays points"]
     """Factor of the point's radiance: value acc/K, gradient unbiased for the full sum."""

@@ -10,12 +10,12 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
+from lambent_core.errors import BundleError
 from PIL import Image
 
 from lambent_relight.asset.ktx2 import KTX2, MIME, ktx2_of
 from lambent_relight.asset.textured_mesh import TexturedMesh, textures_of
 from lambent_relight.baked.mesh import glb_chunks
-from lambent_relight.errors import BundleError
 
 WEBP = "EXT_texture_webp"
 

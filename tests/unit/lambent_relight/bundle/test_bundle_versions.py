@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lambent_asset.bundle.manifest import SCHEMA_VERSION
 from lambent_relight import BundleError, Renderer, load_bundle
-from lambent_worker.bundle.manifest import SCHEMA_VERSION
 from support.golden_light import SPP, golden_light
 
 FOLDER = Path(__file__).parents[3] / "golden" / "bundles"

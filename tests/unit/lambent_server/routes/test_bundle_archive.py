@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from fastapi.responses import StreamingResponse
 from lambent_relight import load_bundle
+from lambent_server.bundles.file_routes import get_bundle_archive
 from lambent_server.database.schema import bundle_files, scenes
 from lambent_server.database.tenancy import change
-from lambent_server.routes.files import get_bundle_archive
 from support.api import STRANGER_KEY, TENANT, Api, expect_problem, opened, sha256
 from support.baked_bundle import write_baked_bundle
 from support.server_rows import add_bundle
