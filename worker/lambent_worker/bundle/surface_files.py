@@ -11,7 +11,7 @@ from flashcache.data.scene import Camera
 from flashcache.physical.model import InverseModel
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight import cameras as relight_cameras
-from lambent_relight.baked.raster import block_means, nearest_texel, rasterise, rasterise_uv
+from lambent_relight.baked.raster import block_means, nearest_texel, rasterise
 from lambent_relight.baked.traced_surface import MESH_OFFSET
 from lambent_relight.bundle.archive import open_source
 from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
@@ -78,8 +78,7 @@ def write_asset(
     if config.usdz:
         write_usdz(folder / USDZ_PATH, surface, textures)
     size = len(textures.albedo)
-    covered = rasterise_uv(surface.uv, surface.faces, size).covered
-    manifest.atlas.size, manifest.atlas.num_texels = size, int(covered.sum())
+    manifest.atlas.size = size
     manifest.atlas.texel_size = surface.texel_size * surface.size / size
     manifest.atlas.material_size = surface.size
     manifest.atlas.albedo_source = "model" if albedo is None else "photographs"

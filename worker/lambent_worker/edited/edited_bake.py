@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 from lambent_compute.threads import available_threads
 from lambent_proto.v1 import bundle_pb2
-from lambent_relight.baked.transport import transport_files
 from lambent_relight.bundle.graphs import SecondaryHits
 from lambent_relight.tracing.mesh_rays import MeshRays
 from numpy import ndarray
@@ -19,6 +18,7 @@ from lambent_worker.bundle.surface import AtlasSurface
 from lambent_worker.bundle.surface_occlusion import bake_occlusion
 from lambent_worker.bundle.transport import BakedSurface, TransportConfig, bake_transport
 from lambent_worker.bundle.transport_bounce import Reflectors
+from lambent_worker.bundle.transport_files import write_transport
 from lambent_worker.bundle.transport_rays import RayConfig
 
 OFFSET = 1e-4
@@ -86,7 +86,5 @@ def write_given_transport(
         advance=advance,
         num_threads=available_threads(),
     )
-    (folder / "transport").mkdir(exist_ok=True)
-    for path, data in transport_files(transport, manifest, tier=tier).items():
-        (folder / path).write_bytes(data)
+    write_transport(transport, manifest, folder)
     manifest.metrics.update(figures)

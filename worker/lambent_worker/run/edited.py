@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from lambent_proto.v1 import bundle_pb2
-from lambent_relight.baked.raster import rasterise_uv
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.cameras import cameras_json
 from lambent_relight.environment.maps import write_environment
@@ -171,8 +170,7 @@ def _write_mesh(
     if settings.usdz:
         write_usdz(folder / USDZ_PATH, surface, textures)
     size = len(textures.albedo)
-    covered = rasterise_uv(surface.uv, surface.faces, size).covered
-    manifest.atlas.size, manifest.atlas.num_texels = size, int(covered.sum())
+    manifest.atlas.size = size
     manifest.atlas.texel_size = surface.texel_size * surface.size / size
     manifest.atlas.material_size = surface.size
     manifest.atlas.albedo_source = "file"

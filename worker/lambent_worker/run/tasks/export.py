@@ -193,7 +193,7 @@ def _write_surface(
             advance=baked,
         )
         if tier != "none":
-            write_transport(transport, manifest, folder, tier=tier)
+            write_transport(transport, manifest, folder)
             manifest.metrics.update(figures)
         _advance(context, 4)
         if settings.albedo == "photographs":
