@@ -14,7 +14,7 @@ from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.bundle.graphs import OnnxCaches
 from lambent_relight.environment.maps import load_environment
 from lambent_relight.images import srgb_from_linear
-from lambent_worker.bundle.half_tables import with_half_tables
+from lambent_worker.bundle.parity import with_half_tables
 from lambent_worker.errors import Stopped, WorkerError
 from lambent_worker.run.tasks import export
 from PIL import Image

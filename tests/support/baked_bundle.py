@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 
 import numpy as np
 from google.protobuf import json_format
 from lambent_proto.v1.bundle_pb2 import BundleManifest
+from lambent_relight.baked.mesh import glb_of
 from lambent_relight.baked.raster import nearest_texel
 from lambent_relight.baked.transport import Transport, transport_files
 from lambent_relight.cameras import Camera
@@ -65,12 +64,7 @@ def glb(vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray) -> bytes:
         "bufferViews": views,
         "accessors": accessors,
     }
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = (
-        struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + data
-    )
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+    return glb_of(document, data)
 
 
 def boxes_surface(scene: AnalyticScene, side: int) -> tuple[AtlasSurface, TextureSet]:

@@ -14,6 +14,7 @@ from flashcache.export.stored_grids import StoredGrid
 from flashcache.physical.model import InverseModel
 from lambent_proto import BUNDLE_VERSION
 from lambent_proto.v1 import bundle_pb2
+from lambent_relight.bundle.uncertainty import PATH, UncertaintyGrid
 
 from lambent_worker.bundle.mesh import Corner
 from lambent_worker.bundle.parity import TOLERANCE, ParityResult
@@ -95,6 +96,17 @@ def add_weights(
             half_extent=layout.half_extent,
             levels=[bundle_pb2.GridLevel(**asdict(level)) for level in layout.levels],
         )
+
+
+def write_uncertainty(folder: Path, manifest: bundle_pb2.BundleManifest, grid: UncertaintyGrid) -> None:
+    """Write the grid below `folder` and say in the manifest where it is and what it covers."""
+    (folder / PATH).parent.mkdir(parents=True, exist_ok=True)
+    (folder / PATH).write_bytes(grid.to_bytes())
+    stated = manifest.uncertainty
+    stated.path = PATH
+    stated.channels.extend(grid.channels)
+    stated.box.minimum.extend(grid.low.tolist())
+    stated.box.maximum.extend(grid.high.tolist())
 
 
 def write_manifest(folder: Path, manifest: bundle_pb2.BundleManifest, paths: Sequence[str]) -> None:

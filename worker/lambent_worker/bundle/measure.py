@@ -11,8 +11,7 @@ from jaxtyping import Float
 from lambent_relight.bundle.graphs import SurfaceCaches
 from numpy import ndarray
 
-from lambent_worker.bundle.cameras import relight_camera
-from lambent_worker.bundle.mesh_depth import NUM_VIEWS, depth_agreement
+from lambent_worker.bundle.mesh_depth import NUM_VIEWS, depth_agreement, relight_camera
 from lambent_worker.bundle.surface import AtlasSurface
 from lambent_worker.bundle.surface_files import silhouette_iou
 from lambent_worker.report import figures

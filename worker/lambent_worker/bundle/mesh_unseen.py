@@ -13,8 +13,8 @@ from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
 from lambent_worker.bundle.atlas import angle_weighted_normals, unit
-from lambent_worker.bundle.cameras import relight_camera
 from lambent_worker.bundle.mesh import Mesh, compact, edges_of, piece_of_face
+from lambent_worker.bundle.mesh_depth import relight_camera
 from lambent_worker.report.request import evenly_spaced
 
 MOST_VIEWS = 100

@@ -9,14 +9,13 @@ from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.cameras import cameras_json
 from lambent_relight.environment.maps import write_environment
 
-from lambent_worker.bundle.glb import check_glb, write_glb
 from lambent_worker.bundle.manifest import new_manifest, write_manifest
-from lambent_worker.bundle.measure import relight_camera, write_photographs
+from lambent_worker.bundle.measure import write_photographs
 from lambent_worker.bundle.mesh import Corner, occupied_box
+from lambent_worker.bundle.mesh_depth import relight_camera
 from lambent_worker.bundle.poster import try_poster
-from lambent_worker.bundle.surface_files import ASSET_PATH, USDZ_PATH, pixel_size
+from lambent_worker.bundle.surface_files import pixel_size, write_mesh
 from lambent_worker.bundle.transport_files import write_relight_graph
-from lambent_worker.bundle.usd import write_usdz
 from lambent_worker.edited.edited_bake import TriangleRays, occlusion_of, write_given_transport
 from lambent_worker.edited.edited_surface import GivenSurface, check_place, given_surface
 from lambent_worker.edited.glb_file import GivenMesh, read_glb
@@ -163,19 +162,7 @@ def _write_mesh(
     occlusion = occlusion_of(
         surface, rays, num_points=settings.occlusion_points, num_rays=settings.occlusion_rays
     )
-    textures = made.textures(occlusion)
-    asset = write_glb(surface, textures, unit=manifest.world.unit)
-    check_glb(asset, surface)
-    (folder / ASSET_PATH).write_bytes(asset)
-    if settings.usdz:
-        write_usdz(folder / USDZ_PATH, surface, textures)
-    size = len(textures.albedo)
-    manifest.atlas.size = size
-    manifest.atlas.texel_size = surface.texel_size * surface.size / size
-    manifest.atlas.material_size = surface.size
-    manifest.atlas.albedo_source = "file"
-    manifest.metrics["mesh_faces"] = len(surface.faces)
-    manifest.metrics["mesh_vertices"] = len(surface.vertices)
+    write_mesh(surface, made.textures(occlusion), manifest, folder, source="file", usdz=settings.usdz)
 
 
 def _say(context: TaskContext, given: GivenMesh, made: GivenSurface) -> None:

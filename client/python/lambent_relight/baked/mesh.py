@@ -104,6 +104,25 @@ def glb_chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
     return document, data[start + 8 : start + 8 + payload_length]
 
 
+def glb_of(document: dict[str, Any], payload: bytes) -> bytes:
+    """Return the GLB with these two chunks, each filled up to a multiple of four bytes."""
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    payload += b"\0" * (-len(payload) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
+    chunks += struct.pack("<II", len(payload), 0x004E4942) + payload
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+
+
+def glb_view(document: dict[str, Any], payload: bytes, index: int) -> bytes:
+    """Return the bytes of a buffer view; raises one of `UNREADABLE` for one that is not in the file."""
+    view = document["bufferViews"][index]
+    start, size = view.get("byteOffset", 0), view["byteLength"]
+    if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
+        raise ValueError(f"part {index} leaves the file")
+    return payload[start : start + size]
+
+
 def glb_accessor(document: dict[str, Any], payload: bytes, index: int, kind: str) -> NDArray[Any]:
     """Return the array [count, component] of an accessor of the type `kind`.
 

@@ -20,13 +20,12 @@ from lambent_relight.cameras import cameras_json
 from lambent_relight.environment.maps import write_environment
 from numpy.typing import NDArray
 
-from lambent_worker.bundle.cameras import relight_camera
 from lambent_worker.bundle.graphs import remove_networks, write_graphs
-from lambent_worker.bundle.half_tables import MOST_ROUNDING, fits_half, with_half_tables
-from lambent_worker.bundle.manifest import new_manifest, write_manifest
+from lambent_worker.bundle.manifest import new_manifest, write_manifest, write_uncertainty
 from lambent_worker.bundle.measure import measure
 from lambent_worker.bundle.mesh import Corner, occupied_box
-from lambent_worker.bundle.parity import ParityResult
+from lambent_worker.bundle.mesh_depth import relight_camera
+from lambent_worker.bundle.parity import MOST_ROUNDING, ParityResult, fits_half, with_half_tables
 from lambent_worker.bundle.photo_albedo import Photographs, albedo_texture, automatic_size
 from lambent_worker.bundle.poster import try_poster
 from lambent_worker.bundle.surface import AtlasSurface, build_surface
@@ -39,7 +38,6 @@ from lambent_worker.bundle.transport_files import (
 )
 from lambent_worker.bundle.transport_quality import judge_qualities
 from lambent_worker.bundle.transport_rays import MESH_RAYS
-from lambent_worker.bundle.uncertainty import write_uncertainty
 from lambent_worker.errors import WorkerError
 from lambent_worker.files import read_record
 from lambent_worker.run.capture import read_manifest
