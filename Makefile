@@ -142,24 +142,30 @@ check-texts: $(VENV)/.installed
 	$(BIN)/towncrier build --draft --version next >/dev/null
 
 check-dependencies: $(VENV)/.installed
-	$(BIN)/python scripts/dependencies.py check
+	$(BIN)/python scripts/check_dependencies.py
+	$(BIN)/pip-licenses >/dev/null
 
 check-schemas: setup
 	$(BIN)/python scripts/schema.py --check
-	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker-compose.yml deploy/compose/loki.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker-compose.yml
 
 check-web: setup
 	cd $(WEB) && npm run check
 
-sbom: $(VENV)/.installed ## Write a bill of materials (CycloneDX) of this environment into build/sbom.json, without network
-	$(BIN)/python scripts/dependencies.py sbom build/sbom.json
+SBOM := build/sbom
+
+sbom: $(VENV)/.installed ## Write bills of materials (CycloneDX) of .venv and the web client into build/sbom, without network
+	mkdir -p $(SBOM)
+	$(BIN)/cyclonedx-py environment $(BIN)/python --pyproject pyproject.toml --mc-type application --output-reproducible -o $(SBOM)/python.json
+	npm sbom --prefix $(WEB) --package-lock-only --sbom-format cyclonedx >$(SBOM)/web.json
 
 AUDIT_TOOLS := build/audit-tools
 
-audit: $(VENV)/.installed ## Ask advisory services about every dependency; says what could not be asked (needs a network)
+audit: $(VENV)/.installed ## Ask advisory services about every dependency; fails where one has advisories or cannot be asked (needs a network)
 	$(PYTHON) -m venv $(AUDIT_TOOLS)
-	-$(AUDIT_TOOLS)/bin/pip install -q --disable-pip-version-check pip-audit
-	$(BIN)/python scripts/dependencies.py audit --python $(AUDIT_TOOLS)/bin/python
+	$(AUDIT_TOOLS)/bin/pip install -q --disable-pip-version-check pip-audit
+	$(AUDIT_TOOLS)/bin/pip-audit -r constraints.txt --no-deps --disable-pip
+	for lock in $(WEB)/package-lock.json $(WEB)/tools/*/package-lock.json; do npm audit --package-lock-only --prefix $$(dirname $$lock) || exit; done
 
 fix: $(VENV)/.installed ## Format, and fix what can be fixed automatically
 	$(BIN)/ruff check --fix-only .

@@ -63,12 +63,11 @@ def machine() -> dict[str, Any]:
 
 def quick_options(text: str) -> list[str]:
     """Return the options of a quick variant; the run some need is that of the quick `quality`."""
-    made = BUILD / "quality" / SAMPLE.name
-    run, report = Path(f"{made}_0", "run"), Path(f"{made}_0", "report")
-    if any(name in text for name in ("{run}", "{bundle}", "{report}")) and not (report / "pred").is_dir():
+    made = BUILD / "quality" / f"{SAMPLE.name}_0"
+    run, maps = made / "run", SAMPLE / "envmaps"
+    if ("{run}" in text or "{bundle}" in text) and not (made / "report" / "pred").is_dir():
         subprocess.run([sys.executable, "-m", "benchmarks", "quality", "--quick"], cwd=ROOT, check=True)
-    maps, bundle = SAMPLE / "envmaps", run / "bundle"
-    return text.format(sample=SAMPLE, maps=maps, run=run, bundle=bundle, report=report).split()
+    return text.format(sample=SAMPLE, maps=maps, run=run, bundle=run / "bundle").split()
 
 
 class Tee(io.StringIO):
@@ -186,7 +185,7 @@ def main() -> int:
     """Return the exit status."""
     # A waiting thread sleeps: spinning ones would slow whatever is measured beside them.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    # Scenes and the browser page of the tests, and the scene makers of the examples, are used here as well.
+    # Scenes of the tests, and the scene makers of the examples, are used here as well.
     sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "examples")]
     known, words = benchmarks(), sys.argv[1:]
     if words == ["--quick-all"]:

@@ -1,18 +1,14 @@
 """Measure the size of a bundle's files, and the time per secondary ray of each reader of its fast cache.
 
-    OMP_NUM_THREADS=1 python -m benchmarks bundle_readers BUNDLE [BUNDLE ...] [--browser] [--rays 4096]
+    OMP_NUM_THREADS=1 python -m benchmarks bundle_readers BUNDLE [BUNDLE ...] [--rays 4096]
 
 Sizes are those of every BUNDLE, times those of the first. Readers take turns, and the shortest of their turns
-counts, so that ratios hold on a busy machine. Processor readers use one thread. With --browser (Chromium and
-`npm ci` in client/web) the same rays are answered by onnxruntime-web and by the WGSL reader, on WebGPU in
-software; `--browser-rays` of them, because that is slow.
+counts, so that ratios hold on a busy machine. Both readers use one thread.
 """
 
 import argparse
-import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -111,56 +107,11 @@ def processor_times(bundle: Bundle, count: int, turns: int) -> Claim:
     )
 
 
-def print_browser_times(bundle: Bundle, count: int, turns: int) -> None:
-    """Print microseconds per ray in a browser, and how far answers are from onnxruntime's on a processor."""
-    from support.engine_page import engine_page
-
-    origin, direction = random_rays(bundle, count)
-    rays = np.concatenate([origin, direction], axis=1)
-    inputs = {"origin": origin, "direction": direction}
-    wanted = graph_of(bundle, ALL)(origin, direction)
-    path, light = bundle.graph_path("fast_cache"), bundle.manifest.train_lights[0]
-    print("\n| in a browser | us per ray | largest difference | WGSL is faster by |\n" + "| --- " * 4 + "|")
-    with tempfile.TemporaryDirectory() as folder, engine_page(bundle.path, Path(folder)) as page:
-        tasks: dict[str, Callable[[], float]] = {}
-        errors: dict[str, float] = {}
-        for label, light_shown, outputs in (
-            ("opacity and distance", "", list(OCCLUSION)),
-            ("with radiance", light, None),
-        ):
-            page.fuse(label, path, light_shown)
-            errors[f"WGSL, {label}"] = difference(page.run_fused(label, rays), wanted)
-            tasks[f"WGSL, {label}"] = lambda name=label: page.time_fused(name, rays, 2)
-            for provider in ("webgpu", "wasm"):
-                name = f"onnxruntime-web {provider}, {label}"
-                page.open(name, path, provider, outputs)
-                errors[name] = difference(page.run(name, inputs), wanted)
-                tasks[name] = lambda name=name: page.time(name, inputs, 1)
-        found = {name: [task()] for name, task in tasks.items()}
-        for _ in range(turns - 1):
-            for name, task in tasks.items():
-                found[name].append(task())
-    for name, milliseconds in found.items():
-        each = min(milliseconds) / count * 1e3
-        ratio = min(milliseconds) / min(found[f"WGSL, {name.partition(', ')[2]}"])
-        print(f"| {name} | {each:.1f} | {errors[name]:.1e} | {ratio:.1f} |")
-
-
-def difference(found: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> float:
-    """Return the largest difference of all outputs found, absolute below 1 and relative above."""
-    return max(
-        float((np.abs(values - wanted[key]) / np.maximum(1.0, np.abs(wanted[key]))).max())
-        for key, values in found.items()
-    )
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     parser.add_argument("bundles", type=Path, nargs="+")
     parser.add_argument("--rays", type=int, default=65_536)
     parser.add_argument("--turns", type=int, default=7)
-    parser.add_argument("--browser", action="store_true")
-    parser.add_argument("--browser-rays", type=int, default=4096)
 
 
 def main(arguments: argparse.Namespace) -> list[Claim]:
@@ -168,7 +119,4 @@ def main(arguments: argparse.Namespace) -> list[Claim]:
     bundles = [load_bundle(path) for path in arguments.bundles]
     print_sizes(bundles)
     print_rounding(bundles[0])
-    claims = [processor_times(bundles[0], arguments.rays, arguments.turns)]
-    if arguments.browser:
-        print_browser_times(bundles[0], arguments.browser_rays, min(arguments.turns, 3))
-    return claims
+    return [processor_times(bundles[0], arguments.rays, arguments.turns)]

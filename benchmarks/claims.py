@@ -1,4 +1,4 @@
-"""How a benchmark says that one way is faster than another, and how two sets of such claims are compared."""
+"""Claims that one way is faster than another, and the comparison of two sets of them."""
 
 import math
 import statistics

@@ -20,13 +20,13 @@ from flashcache.parallel.processes import Processes
 from flashcache.training.optimiser import StepRecord
 from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
-from lambent_worker.console_reporter import ConsoleReporter
-from lambent_worker.run.hashes import PREPARATION
-from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.prepare import device_for, open_task
-from lambent_worker.run.spec import RunSpec
-from lambent_worker.run.tasks.training import new_model, read_scene, training_pixels
-from lambent_worker.startup import prepare
+from lambent_core.startup import prepare
+from lambent_run.console_reporter import ConsoleReporter
+from lambent_run.run.hashes import PREPARATION
+from lambent_run.run.pipeline import run_pipeline
+from lambent_run.run.prepare import device_for, open_task
+from lambent_run.run.spec import RunSpec
+from lambent_run.run.tasks.training import new_model, read_scene, training_pixels
 
 from benchmarks.claims import Claim, claim, table
 

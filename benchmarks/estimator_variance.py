@@ -27,9 +27,9 @@ from flashcache.physical.sampling import EnvironmentMapSampler
 from flashcache.physical.shading import ShadingPoints
 from flashcache.randomness import generator_for
 from flashcache.volume.quadrature import draw_points
-from lambent_worker.console_reporter import ConsoleReporter
-from lambent_worker.run.prepare import open_task
-from lambent_worker.run.tasks.training import load_final, read_scene
+from lambent_run.console_reporter import ConsoleReporter
+from lambent_run.run.prepare import open_task
+from lambent_run.run.tasks.training import load_final, read_scene
 from torch import Tensor
 
 DIRECTIONS = 64

@@ -11,10 +11,10 @@ import time
 from pathlib import Path
 
 import numpy as np
-from lambent_worker.errors import SceneRefusedError
-from lambent_worker.masks.estimate import EstimateSettings, estimate_masks
-from lambent_worker.masks.folder import contact_sheet
-from lambent_worker.scenes.detect import describe_scene
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.masks.estimate import EstimateSettings, estimate_masks
+from lambent_capture.masks.folder import contact_sheet
+from lambent_core.errors import SceneRefusedError
 
 from benchmarks.painted_scene import Background, Painted, overlap, paint, plain, surroundings, table
 

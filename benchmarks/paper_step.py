@@ -24,21 +24,19 @@ import numpy as np
 import torch
 from flashcache.config import Config
 from flashcache.data.ray_batches import TrainingPixels
-from flashcache.data.scene import Scene
 from flashcache.data.space import domain_of, placed
 from flashcache.evaluation.metrics import over_white, psnr
 from flashcache.evaluation.views import render_gbuffer, render_physical
 from flashcache.memory import MemoryEstimate, estimate
 from flashcache.physical.model import InverseModel
 from flashcache.presets import preset
-from flashcache.training.cuda_graphs import Capture
 from flashcache.training.stage_one import StageOne
 from flashcache.training.stage_two import StageTwo
-from lambent_worker.report.predictions import encoded
-from lambent_worker.report.request import evenly_spaced
-from lambent_worker.run.tasks.training import matrix_precision
-from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.load import load_scene
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.loading.load import load_scene
+from lambent_core.scene import Scene, evenly_spaced
+from lambent_run.report.predictions import encoded
+from lambent_run.run.tasks.training import matrix_precision
 
 QUICK = "--preset tiny --share 16 --steps 2"
 
@@ -76,18 +74,11 @@ def with_share(config: Config, share: int) -> Config:
     )
 
 
-def new_stage(
-    name: str,
-    model: InverseModel,
-    pixels: TrainingPixels,
-    config: Config,
-    fixed: bool | None = None,
-    capture: Capture | None = None,
-) -> StageOne | StageTwo:
-    """Return a stage ready for its first step; `fixed` and `capture` as for the stages."""
+def new_stage(name: str, model: InverseModel, pixels: TrainingPixels, config: Config) -> StageOne | StageTwo:
+    """Return a stage ready for its first step."""
     if name == "one":
-        return StageOne(model, pixels, config.stage_one, seed=0, fixed=fixed, capture=capture)
-    return StageTwo(model, pixels, config.stage_two, seed=0, fixed=fixed, capture=capture)
+        return StageOne(model, pixels, config.stage_one, seed=0)
+    return StageTwo(model, pixels, config.stage_two, seed=0)
 
 
 def peak_bytes(device: torch.device) -> int:

@@ -21,17 +21,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from lambent.truth import psnr
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.layouts.photographs import CAMERAS_FILE, read_capture
+from lambent_capture.poses.capture import RECORD, solve_capture
+from lambent_capture.poses.solve import PoseSettings
+from lambent_capture.problems import Problems
+from lambent_core.colour import srgb_from_linear
+from lambent_core.directions import pixel_directions
+from lambent_core.errors import SceneRefusedError
+from lambent_core.files import read_record
 from lambent_relight import Camera, Environment, Renderer, environment_from_array, load_bundle
-from lambent_relight.directions import pixel_directions
-from lambent_relight.images import srgb_from_linear
-from lambent_worker.errors import SceneRefusedError
-from lambent_worker.files import read_record
-from lambent_worker.poses.capture import RECORD, solve_capture
-from lambent_worker.poses.solve import PoseSettings
-from lambent_worker.run.capture import MANIFEST
-from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.photographs import CAMERAS_FILE, read_capture
-from lambent_worker.scenes.problems import Problems
+from lambent_run.run.capture import MANIFEST
 from numpy import ndarray
 from PIL import Image
 

@@ -16,9 +16,9 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from lambent_worker.poses.capture import solve_capture
-from lambent_worker.poses.solve import PoseSettings
-from lambent_worker.scenes.detect import describe_scene
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.poses.capture import solve_capture
+from lambent_capture.poses.solve import PoseSettings
 from numpy import ndarray
 from PIL import Image
 from scipy import ndimage

@@ -13,12 +13,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from flashcache.data.scene import View
 from flashcache.evaluation.metrics import median_albedo_ratio
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.loading.load import load_scene
+from lambent_core.colour import srgb_from_linear
+from lambent_core.scene import View
 from lambent_relight import Bundle, Camera, Environment, Renderer, load_bundle, load_environment
-from lambent_relight.images import srgb_from_linear
-from lambent_worker.scenes.detect import describe_scene
-from lambent_worker.scenes.load import load_scene
 
 QUICK = "{bundle} {sample} --environments {maps} --views 1 --samples 8"
 

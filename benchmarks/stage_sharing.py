@@ -8,12 +8,12 @@ from flashcache.training.checkpoint import (
     latest_checkpoint,
     save_checkpoint,
 )
-from lambent_worker.errors import WorkerError
-from lambent_worker.reporter import Reporter
-from lambent_worker.run.folder import begin_task, done_inputs, finish_task, task_folder
-from lambent_worker.run.hashes import input_hashes
-from lambent_worker.run.prepare import open_task
-from lambent_worker.run.tasks.training import new_model, read_scene
+from lambent_core.errors import WorkerError
+from lambent_core.reporter import Reporter
+from lambent_run.run.folder import begin_task, done_inputs, finish_task, task_folder
+from lambent_run.run.hashes import input_hashes
+from lambent_run.run.prepare import open_task
+from lambent_run.run.tasks.training import new_model, read_scene
 from safetensors.torch import load_file
 
 NERF = "nerf."

@@ -15,13 +15,13 @@ import subprocess
 import sys
 from pathlib import Path
 
-from lambent_worker.console_reporter import ConsoleReporter
-from lambent_worker.run.folder import task_seconds
-from lambent_worker.run.hashes import PREPARATION
-from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.prepare import device_for
-from lambent_worker.run.spec import RunSpec
-from lambent_worker.startup import prepare
+from lambent_core.startup import prepare
+from lambent_run.console_reporter import ConsoleReporter
+from lambent_run.run.folder import task_seconds
+from lambent_run.run.hashes import PREPARATION
+from lambent_run.run.pipeline import run_pipeline
+from lambent_run.run.prepare import device_for
+from lambent_run.run.spec import RunSpec
 
 from benchmarks.reference_scores import figures_of
 from benchmarks.stage_sharing import adopt_nerf_cache

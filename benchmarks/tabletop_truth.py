@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from lambent.truth import read_camera
+from lambent_capture.pictures.exr_pictures import exr_pixels
 from lambent_relight import Camera, Environment, load_environment
-from lambent_worker.scenes.exr_pictures import exr_pixels
 from numpy import ndarray
 from PIL import Image, ImageOps
 

@@ -25,25 +25,24 @@ from typing import Literal, TypedDict
 
 import numpy as np
 from flashcache.data.hull import fit_occupancy
-from flashcache.data.scene import Scene, View
 from flashcache.evaluation.metrics import over_white
 from flashcache.evaluation.views import render_surface
 from flashcache.physical.model import InverseModel
 from flashcache.training.stage_one import StageOne
-from lambent_worker.console_reporter import ConsoleReporter
-from lambent_worker.report.predictions import encoded
-from lambent_worker.report.request import evenly_spaced
-from lambent_worker.run.hashes import PREPARATION
-from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.prepare import device_for, open_task
-from lambent_worker.run.spec import RunSpec
-from lambent_worker.run.tasks.training import (
+from lambent_core.scene import Scene, View, evenly_spaced
+from lambent_core.startup import prepare
+from lambent_run.console_reporter import ConsoleReporter
+from lambent_run.report.predictions import encoded
+from lambent_run.run.hashes import PREPARATION
+from lambent_run.run.pipeline import run_pipeline
+from lambent_run.run.prepare import device_for, open_task
+from lambent_run.run.spec import RunSpec
+from lambent_run.run.tasks.training import (
     new_model,
     processes_for,
     read_scene,
     training_pixels,
 )
-from lambent_worker.startup import prepare
 
 from benchmarks.variants import add_variants
 

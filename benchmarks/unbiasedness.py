@@ -19,16 +19,16 @@ import torch
 from flashcache.caches.nerf_cache import Geometry
 from flashcache.config import StageTwoConfig
 from flashcache.data.ray_batches import RayBatch, TrainingPixels
-from flashcache.data.scene import Scene
 from flashcache.physical.estimator import DirectionCounts
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
 from flashcache.randomness import generator_for
 from flashcache.training.passes import shade
 from jaxtyping import Float
-from lambent_worker.console_reporter import ConsoleReporter
-from lambent_worker.run.prepare import open_task
-from lambent_worker.run.tasks.training import load_final, read_scene
+from lambent_core.scene import Scene
+from lambent_run.console_reporter import ConsoleReporter
+from lambent_run.run.prepare import open_task
+from lambent_run.run.tasks.training import load_final, read_scene
 from numpy import ndarray
 from scipy import stats
 

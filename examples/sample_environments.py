@@ -112,10 +112,19 @@ def sunset(direction: np.ndarray) -> np.ndarray:
 ENVIRONMENTS: dict[str, Radiance] = {"morning": morning, "studio": studio, "sunset": sunset}
 
 
-def environment_image(name: str, height: int = 64, width: int = 128, oversampling: int = 4) -> np.ndarray:
-    """Return the environment `name` as float32 [height, width, 3], each pixel averaged over its area."""
-    fine = ENVIRONMENTS[name](directions(height * oversampling, width * oversampling))
-    image = fine.reshape(height, oversampling, width, oversampling, 3).mean(axis=(1, 3))
+def environment_image(name: str, height: int = 64) -> np.ndarray:
+    """Return the environment `name` as float32 [height, 2 height, 3]."""
+    return image_of(ENVIRONMENTS[name], height, oversampling=4)
+
+
+def image_of(light: Radiance, height: int, oversampling: int) -> np.ndarray:
+    """Return a light as float32 [height, 2 height, 3], each pixel averaged over its area."""
+    image = np.empty((height, 2 * height, 3))
+    fine = directions(height * oversampling, 2 * height * oversampling)
+    # Row by row: the whole of a large map does not fit into memory at this resolution.
+    for row in range(height):
+        strip = light(fine[row * oversampling : (row + 1) * oversampling])
+        image[row] = strip.reshape(oversampling, 2 * height, oversampling, 3).mean(axis=(0, 2))
     solid_angle = np.cos(np.pi / 2.0 - np.pi * (np.arange(height) + 0.5) / height)
     mean = (image.mean(axis=(1, 2)) * solid_angle).sum() / solid_angle.sum()
     return (image * (MEAN_RADIANCE / mean)).astype(np.float32)

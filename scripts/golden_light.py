@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lambent_core.directions import normalise, pixel_directions
 from lambent_relight.baked import split_sum
-from lambent_relight.directions import normalise, pixel_directions
 from lambent_relight.environment import axes as environment_axes
 from lambent_relight.environment import dominant_lights, harmonics, prefilter
 from lambent_relight.environment.maps import Environment

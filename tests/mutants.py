@@ -1,7 +1,8 @@
 """Deliberate mistakes, and the tests that catch them: `python tests/mutants.py --help`.
 
-A mutant is an entry of `mutants.toml`: one passage of our source and a plausible mistake that replaces
-it. The working tree is never changed; each mutant is made in a copy, and only its nearest tests run.
+A mutant is an entry of `mutants.toml`: one passage of our source, found by its symbol and its tokens, and a
+plausible mistake that replaces it. The working tree is never changed; each mutant is made in a copy, and only
+its nearest tests run.
 """
 
 import argparse
@@ -21,10 +22,13 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 
+from support import passages
+
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
 SOURCES = ("proto", "server", "worker", "client/python")
 GROUPS = ("method", "export", "relight", "server")
+_ANEW = "name it anew in tests/mutants.toml"
 BEGIN, END = "<!-- mutants: begin -->", "<!-- mutants: end -->"
 CAUGHT, SURVIVED, UNDECIDED = "caught", "SURVIVED", "NO VERDICT"
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+\.py::.+?)(?: - .*)?$", re.MULTILINE)
@@ -37,26 +41,42 @@ class Mutant:
 
     name: str
     group: str
-    file: str
-    """Path of the source file from the repository's root."""
     old: str
-    """Passage of the file; occurs exactly once."""
+    """The passage: code that occurs once in the symbol, however it is wrapped, or text of `file`."""
     new: str
     tests: tuple[str, ...]
     """Nearest tests: the ends of their files' paths, with `::test_name` where one test will do."""
     breaks: str
     """What the mistake breaks, in one sentence."""
+    symbol: str = ""
+    """The end of the full name of what the passage is in, such as `stage_two.StageTwo.step`."""
+    file: str = ""
+    """Instead of a symbol: path of a file from the repository's root, for text that is no code of Python."""
+
+    @property
+    def place(self) -> Path:
+        """Path of the source file from the repository's root; raises ValueError for an unknown symbol."""
+        return Path(self.file) if self.file else self._symbol()[0].relative_to(ROOT)
 
     def text(self) -> str:
         """Return the file with the mistake; raises ValueError unless the passage occurs exactly once."""
-        path = ROOT / self.file
-        text = path.read_text(encoding="utf-8") if path.is_file() else ""
+        text = (ROOT / self.place).read_text(encoding="utf-8")
+        if self.symbol:
+            _, *lines = self._symbol()
+            try:
+                return passages.replaced(text, (lines[0], lines[1]), self.old, self.new)
+            except ValueError as error:
+                raise ValueError(f"mutant {self.name}, {self.symbol}: {error}; {_ANEW}") from error
         if text.count(self.old) != 1:
-            raise ValueError(
-                f"mutant {self.name}: its passage occurs {text.count(self.old)} times in {self.file}, "
-                f"expected once; copy the passage anew into tests/mutants.toml"
-            )
+            count = text.count(self.old)
+            raise ValueError(f"mutant {self.name}: its passage occurs {count} times in {self.file}; {_ANEW}")
         return text.replace(self.old, self.new)
+
+    def _symbol(self) -> tuple[Path, int, int]:
+        try:
+            return passages.place_of(self.symbol, tuple(ROOT / source for source in SOURCES))
+        except ValueError as error:
+            raise ValueError(f"mutant {self.name}: {error}; {_ANEW}") from error
 
     def targets(self) -> list[str]:
         """Return its nearest tests as pytest takes them, from the root; raises ValueError if unknown."""
@@ -114,7 +134,7 @@ class Copy:
 
     def judge(self, mutant: Mutant, timeout_s: float) -> Verdict:
         """Return whether the nearest tests notice the mutant."""
-        place = self.folder / mutant.file
+        place = self.folder / mutant.place
         start = time.monotonic()
         with tempfile.TemporaryDirectory(dir=self.folder.parent) as compiled:
             # Compiled loops are cached by their file's date, and would survive a change in what they call.
@@ -125,7 +145,7 @@ class Copy:
             try:
                 code, said = self.run(mutant.targets(), timeout_s, environment)
             finally:
-                shutil.copy2(ROOT / mutant.file, place)
+                shutil.copy2(ROOT / mutant.place, place)
         failed = _FAILED.findall(said)
         if code == 1 and failed:
             outcome, by = CAUGHT, failed[0]

@@ -14,7 +14,6 @@ secret() {
 }
 
 random | secret postgres_password
-random | secret grafana_password
 random | secret ray_token
 # The first key of a server can do everything; replace this one by one that can only read: see docker.md.
 printf 'none yet' | secret metrics_key

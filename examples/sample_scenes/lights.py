@@ -4,10 +4,10 @@ Spot lamps and the sun are discs of one or two degrees, so these maps are 512 x 
 """
 
 import numpy as np
-from sample_environments import ENVIRONMENTS, MEAN_RADIANCE, Radiance, directions, lobe, mix, panel, smooth
+from sample_environments import ENVIRONMENTS, Radiance, image_of, lobe, mix, panel, smooth
 from tabletop.patterns import noise
 
-HEIGHT, OVERSAMPLING = 256, 4
+HEIGHT = 256
 
 
 def disc(direction: np.ndarray, azimuth_deg: float, elevation_deg: float, diameter_deg: float) -> np.ndarray:
@@ -122,12 +122,5 @@ LIGHTS: dict[str, Radiance] = {
 
 
 def light_image(name: str, height: int = HEIGHT) -> np.ndarray:
-    """Return the light as float32 [height, 2 height, 3], scaled to `MEAN_RADIANCE`."""
-    image = np.empty((height, 2 * height, 3))
-    fine = directions(height * OVERSAMPLING, 2 * height * OVERSAMPLING)
-    for row in range(height):
-        strip = LIGHTS[name](fine[row * OVERSAMPLING : (row + 1) * OVERSAMPLING])
-        image[row] = strip.reshape(OVERSAMPLING, 2 * height, OVERSAMPLING, 3).mean(axis=(0, 2))
-    weight = np.cos(np.pi / 2.0 - np.pi * (np.arange(height) + 0.5) / height)
-    mean = (image.mean(axis=(1, 2)) * weight).sum() / weight.sum()
-    return (image * (MEAN_RADIANCE / mean)).astype(np.float32)
+    """Return the light as float32 [height, 2 height, 3]."""
+    return image_of(LIGHTS[name], height, oversampling=4)

@@ -4,11 +4,9 @@ The convention of the images is that of `sample_environments`.
 """
 
 import numpy as np
-from sample_environments import Radiance, directions, lobe, mix, panel, smooth
+from sample_environments import Radiance, image_of, lobe, mix, panel, smooth
 
 from tabletop.patterns import noise
-
-MEAN_RADIANCE = 0.42
 
 
 def _room(d: np.ndarray, wall: tuple, floor: tuple, ceiling: tuple, seed: int) -> np.ndarray:
@@ -115,10 +113,5 @@ UNSEEN = ("terrace", "lamps")
 
 
 def light_image(name: str, height: int = 512) -> np.ndarray:
-    """Return the light as float32 [height, 2 height, 3], scaled to a mean radiance of `MEAN_RADIANCE`."""
-    oversampling = 2
-    fine = LIGHTS[name](directions(height * oversampling, 2 * height * oversampling))
-    image = fine.reshape(height, oversampling, 2 * height, oversampling, 3).mean(axis=(1, 3))
-    weight = np.cos(np.pi / 2.0 - np.pi * (np.arange(height) + 0.5) / height)
-    mean = (image.mean(axis=(1, 2)) * weight).sum() / weight.sum()
-    return (image * (MEAN_RADIANCE / mean)).astype(np.float32)
+    """Return the light as float32 [height, 2 height, 3]."""
+    return image_of(LIGHTS[name], height, oversampling=2)

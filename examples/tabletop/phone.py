@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from make_sample_scene import encode_srgb
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 from scipy import ndimage
@@ -49,12 +50,6 @@ def meter(radiance: np.ndarray, grey: float) -> float:
     luminance = radiance @ np.array([0.2126, 0.7152, 0.0722])
     mean = float((luminance * weight).sum() / weight.sum())
     return min(grey / mean, 1.1 / float(np.quantile(luminance, 0.98)))
-
-
-def encode_srgb(linear: np.ndarray) -> np.ndarray:
-    """Return sRGB-encoded values of `linear` clipped to [0, 1]."""
-    clipped = np.clip(linear, 0.0, 1.0)
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
 
 
 def develop(radiance: np.ndarray, exposure: Exposure, seed: int) -> np.ndarray:

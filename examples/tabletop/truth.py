@@ -12,6 +12,7 @@
 """
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,15 +42,8 @@ CONVENTIONS = {
 
 def object_camera(shot: Shot) -> Camera:
     """Return the camera of a shot in the world of the object, which does not turn."""
-    camera = shot.camera
-    return Camera(
-        width=camera.width,
-        height=camera.height,
-        focal=camera.focal,
-        camera_to_world=turned_about_z(camera.camera_to_world, -shot.turn_deg),
-        k1=camera.k1,
-        k2=camera.k2,
-    )
+    turned = turned_about_z(shot.camera.camera_to_world, -shot.turn_deg)
+    return replace(shot.camera, camera_to_world=turned)
 
 
 def camera_record(shot: Shot) -> dict[str, Any]:

@@ -32,11 +32,10 @@ EXIT_BROKEN: Final = 4
 
 PACKAGES: Final = (
     "lambent_proto",
+    "lambent_core",
     "lambent_sandbox",
     "lambent_compute",
-    "lambent_relight",
-    "flashcache",
-    "lambent_worker",
+    "lambent_capture",
 )
 """What a process that reads pictures may import of ours."""
 

@@ -6,43 +6,41 @@ from anyio import CapacityLimiter
 from fastapi import Depends, FastAPI
 from pydantic.json_schema import models_json_schema
 
-from lambent_server.feed import Feed
-from lambent_server.health import Health
+from lambent_server.accounts.oidc import THREADS, Provider
+from lambent_server.api.json_bodies import require_strict
+from lambent_server.api.messages import ProblemDocument
+from lambent_server.api.resources import describe_conditions
+from lambent_server.bundles import embed_routes as embed
+from lambent_server.bundles import file_routes as files
+from lambent_server.bundles import provenance_routes as provenance
+from lambent_server.bundles import routes as bundles
+from lambent_server.cluster.server_state import Notices
+from lambent_server.cluster.shared_secrets import SHARE, shared_secret
+from lambent_server.core.settings import Settings
 from lambent_server.http import errors
 from lambent_server.http.budget import Budget
 from lambent_server.http.heads import HeadAsGet
-from lambent_server.http.json_bodies import require_strict
 from lambent_server.http.maintenance import Maintenance
 from lambent_server.http.middleware import Gate
 from lambent_server.http.request import App
 from lambent_server.http.request_turns import take_turn
 from lambent_server.http.scopes import check_scope, describe_scope, require_complete
-from lambent_server.messages import ProblemDocument
-from lambent_server.oidc import THREADS, Provider
-from lambent_server.routes import (
-    about,
-    bundles,
-    direct_uploads,
-    embed,
-    environments,
-    events,
-    files,
-    jobs,
-    keys,
-    login,
-    pages,
-    people,
-    provenance,
-    renders,
-    scenes,
-    sign_in,
-    webhooks,
-)
-from lambent_server.routes.resources import describe_conditions
-from lambent_server.server_state import Notices
+from lambent_server.jobs import event_routes as events
+from lambent_server.jobs import routes as jobs
+from lambent_server.jobs.feed import Feed
+from lambent_server.pages import about, pages
+from lambent_server.people import key_routes as keys
+from lambent_server.people import login_routes as login
+from lambent_server.people import routes as people
+from lambent_server.people import sign_in_routes as sign_in
+from lambent_server.renders import environment_routes as environments
+from lambent_server.renders import routes as renders
+from lambent_server.running import retry_routes as retry
+from lambent_server.running.health import Health
+from lambent_server.scenes import routes as scenes
+from lambent_server.scenes import upload_routes as direct_uploads
 from lambent_server.services import Services
-from lambent_server.settings import Settings
-from lambent_server.shared_secrets import SHARE, shared_secret
+from lambent_server.webhooks import routes as webhooks
 
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 
@@ -61,7 +59,18 @@ def _bare(services: Services | None) -> FastAPI:
     app.state.services = services
     errors.install(app)
     modules = (
-        *(scenes, direct_uploads, jobs, renders, events, bundles, files, environments, about, login, keys),
+        scenes,
+        direct_uploads,
+        jobs,
+        retry,
+        renders,
+        events,
+        bundles,
+        files,
+        environments,
+        about,
+        login,
+        keys,
         webhooks,
         people,
         sign_in,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from lambent_server.settings import Settings
+    from lambent_server.core.settings import Settings
 
 DataOption = Annotated[Path | None, typer.Option(help="Folder of the database, the files and the key.")]
 DatabaseOption = Annotated[str | None, typer.Option(help="SQLAlchemy URL; SQLite in --data by default.")]
@@ -20,7 +20,7 @@ def settings_of(**given: Any) -> "Settings":
     from pydantic import ValidationError
     from pydantic_settings import SettingsError
 
-    from lambent_server.settings import Settings
+    from lambent_server.core.settings import Settings
 
     try:
         return Settings(**{name: value for name, value in given.items() if value is not None})
@@ -52,7 +52,7 @@ def serve(
     """Run the server: REST interface, web page, queue and local runs. Ctrl-C ends it and its runs."""
     import asyncio
 
-    from lambent_server.logs import configure_logs
+    from lambent_server.core.logs import configure_logs
     from lambent_server.serving import Ready, ServeError, run
 
     settings = settings_of(
@@ -103,16 +103,16 @@ def keys(
     from pydantic import ValidationError
     from sqlalchemy.exc import SQLAlchemyError
 
-    from lambent_server import keys as key_rows
     from lambent_server.accounts import audit
+    from lambent_server.accounts import keys as key_rows
     from lambent_server.accounts.who import operator
+    from lambent_server.api.problems import Problem
+    from lambent_server.cluster.shared_secrets import is_data_folder
+    from lambent_server.core.secrets import SecretError
     from lambent_server.database.latest_time import begin_time
     from lambent_server.database.schema import api_keys
     from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant, rows
-    from lambent_server.problems import Problem
-    from lambent_server.secrets import SecretError
     from lambent_server.services import open_database
-    from lambent_server.shared_secrets import is_data_folder
 
     settings, tenant = settings_of(data=data, database=database), Tenant(DEFAULT_TENANT_ID)
     if bool(key) == (action is KeyAction.LIST):

@@ -16,13 +16,13 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from lambent_server.clock import now, rfc3339
+from lambent_server.cluster.shared_secrets import shared_value
+from lambent_server.core.clock import now, rfc3339
+from lambent_server.core.secrets import SecretError, write_secret
+from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
 from lambent_server.database.people_schema import provenance_statements
 from lambent_server.database.tenancy import Tenant, add, remove, rows
-from lambent_server.secrets import SecretError, write_secret
-from lambent_server.settings import Settings
-from lambent_server.shared_secrets import shared_value
 
 FILE = "provenance.key"
 PAYLOAD_TYPE = "application/vnd.in-toto+json"

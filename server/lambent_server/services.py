@@ -4,15 +4,15 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from lambent_server.api.fair_places import FairPlaces
+from lambent_server.cluster.wakeups import Wakeups
+from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
 from lambent_server.database.latest_time import begin_time
-from lambent_server.disk_space import Space
-from lambent_server.fair_places import FairPlaces
 from lambent_server.provenance import Signer, open_signer
-from lambent_server.s3 import S3Options
-from lambent_server.settings import Settings
-from lambent_server.store import BlobStore
-from lambent_server.wakeups import Wakeups
+from lambent_server.storage.disk_space import Space
+from lambent_server.storage.s3 import S3Options
+from lambent_server.storage.store import BlobStore
 
 
 @dataclass(slots=True)

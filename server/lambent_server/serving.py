@@ -26,11 +26,13 @@ from lambent_sandbox.sandbox import REQUIRED, Layers
 from obstore.exceptions import BaseError
 from sqlalchemy.exc import SQLAlchemyError
 
-from lambent_server import decoding
+from lambent_server.accounts.keys import FILE, accept_file
+from lambent_server.api.problems import Problem
+from lambent_server.api.serve_error import ServeError
 from lambent_server.app import LOOPBACK, make_app
-from lambent_server.compression import Compressor
-from lambent_server.connections import Connections
-from lambent_server.controller import Controller
+from lambent_server.cluster.shared_secrets import WORKER, shared_secret
+from lambent_server.core.secrets import SecretError
+from lambent_server.core.settings import Settings
 from lambent_server.database.engine import SchemaTooNewError
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
 from lambent_server.executors.chosen import ExecutorSetupError, open_executor
@@ -38,19 +40,17 @@ from lambent_server.http.identity import issue_login_code
 from lambent_server.http.login_header import LoginHeader, login_secret
 from lambent_server.http.proxies import Proxies
 from lambent_server.http.request import App
-from lambent_server.keys import FILE, accept_file
-from lambent_server.problems import Problem
-from lambent_server.reconciler import Reconciler
-from lambent_server.run_logs import LogCopier
-from lambent_server.s3 import StoreSetupError
-from lambent_server.scrubber import Scrubber
-from lambent_server.secrets import SecretError
-from lambent_server.serve_error import ServeError
+from lambent_server.jobs.logs import LogCopier
+from lambent_server.maintenance.compression import Compressor
+from lambent_server.maintenance.scrubber import Scrubber
+from lambent_server.running.controller import Controller
+from lambent_server.running.reconciler import Reconciler
 from lambent_server.services import Services, open_services
-from lambent_server.settings import Settings
-from lambent_server.shared_secrets import WORKER, shared_secret
-from lambent_server.webhook_sender import Sender
-from lambent_server.worker_link import open_workers
+from lambent_server.storage import decoding
+from lambent_server.storage.s3 import StoreSetupError
+from lambent_server.webhooks.sender import Sender
+from lambent_server.workers.connections import Connections
+from lambent_server.workers.link import open_workers
 
 log = structlog.get_logger()
 

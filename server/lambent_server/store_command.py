@@ -10,7 +10,7 @@ import typer
 from lambent_server.cli import DatabaseOption, DataOption, settings_of
 
 if TYPE_CHECKING:
-    from lambent_server.reconciler import Findings
+    from lambent_server.running.reconciler import Findings
 
 StoreOption = Annotated[str | None, typer.Option(help="URL of the store; a folder in --data by default.")]
 
@@ -44,9 +44,9 @@ def store(
 
     from lambent_server.accounts import audit
     from lambent_server.accounts.who import operator
-    from lambent_server.reconciler import examine, repair
+    from lambent_server.cluster.shared_secrets import is_data_folder
+    from lambent_server.running.reconciler import examine, repair
     from lambent_server.services import join_services
-    from lambent_server.shared_secrets import is_data_folder
 
     settings = settings_of(data=data, database=database, store=store, orphan_after_s=older_than_s)
     if not is_data_folder(settings.data):

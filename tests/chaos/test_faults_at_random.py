@@ -25,9 +25,9 @@ from typing import Any
 import httpx2
 import psutil
 import pytest
-from lambent_server.s3 import S3Options
 from lambent_server.serving import free_port
-from lambent_server.store import BlobStore
+from lambent_server.storage.s3 import S3Options
+from lambent_server.storage.store import BlobStore
 from sqlalchemy import create_engine
 from support.flipped_bits import FlippedBits
 from support.invariants import broken

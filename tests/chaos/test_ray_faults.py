@@ -18,7 +18,7 @@ from typing import Any
 
 import psutil
 import pytest
-from lambent_server.store import BlobStore
+from lambent_server.storage.store import BlobStore
 from sqlalchemy import create_engine
 from support.invariants import broken
 from support.live_server import LiveServer, wait_until

@@ -176,7 +176,7 @@ def test_a_stale_run_that_wakes_up_again_is_refused_and_ends(
         process.suspend()
     # The machine is unreachable: the executor does not find the process.
     with sqlite3.connect(server.data / "lambent.sqlite", timeout=10) as database:
-        handle = '{"pid": 999999999, "identity": "gone", "gpus": []}'
+        handle = '{"pid": 999999999, "identity": "gone", "run": "x/1", "gpus": []}'
         database.execute("UPDATE jobs SET handle = ? WHERE id = ?", (handle, job))
     database.close()
     wait_until(lambda: server.job(job)["run"] == 2)

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from flashcache.config import ExportConfig
+from lambent_asset.bundle.glb import write_glb
+from lambent_asset.textures.surface import build_surface
+from lambent_asset.textures.textures import bake_materials
+from lambent_core.colour import linear_from_srgb
 from lambent_relight.asset.draco import DRACO, glb_with_draco
 from lambent_relight.asset.glb import glb_with_textures
 from lambent_relight.asset.textured_mesh import textured_mesh_from_glb
 from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise, rasterise_uv
 from lambent_relight.cameras import turntable
-from lambent_relight.images import linear_from_srgb
-from lambent_worker.bundle.glb import write_glb
-from lambent_worker.bundle.surface import build_surface
-from lambent_worker.bundle.textures import bake_materials
 from scipy import ndimage
 from support.atlas_box import SIZES, atlas_box, coloured
 from support.chromium import program

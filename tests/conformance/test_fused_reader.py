@@ -5,10 +5,10 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from google.protobuf import json_format
+from lambent_core.errors import BundleError, SettingError
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.bundle.graphs import OnnxCaches
-from lambent_relight.errors import BundleError, SettingError
 from lambent_relight.fused import kernels
 from lambent_relight.fused.reader import FusedCaches
 from lambent_relight.fused.weights import NotFused

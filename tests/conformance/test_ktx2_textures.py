@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lambent_asset.bundle.glb import write_glb
+from lambent_core.colour import linear_from_srgb
 from lambent_relight.asset.glb import glb_with_textures
 from lambent_relight.asset.ktx2 import KTX2, ktx2_of
 from lambent_relight.asset.textured_mesh import png_of, textured_mesh_from_glb
 from lambent_relight.baked.mesh import glb_chunks
 from lambent_relight.baked.raster import rasterise
 from lambent_relight.cameras import turntable
-from lambent_relight.images import linear_from_srgb
-from lambent_worker.bundle.glb import write_glb
 from scipy import ndimage
 from support import other_programs
 from support.atlas_box import SIZES, atlas_box, coloured

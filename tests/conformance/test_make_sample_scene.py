@@ -8,10 +8,10 @@ import lambent
 import make_sample_scene
 import numpy as np
 import pytest
-from lambent_relight.environment.exr import read_exr_parts
+from lambent_capture.loading.inspect import inspect_capture
+from lambent_core.colour import srgb_from_linear
+from lambent_core.exr import read_exr_parts
 from lambent_relight.environment.maps import load_environment
-from lambent_relight.images import srgb_from_linear
-from lambent_worker.scenes.inspect import inspect_capture
 from PIL import Image
 
 SAMPLE = Path(lambent.__file__).parent / "sample"

@@ -7,10 +7,10 @@ light, and the diffuse part, which both know exactly, without it. A mirrored map
 
 import numpy as np
 import pytest
+from lambent_core.directions import dot, normalise, pixel_directions
 from lambent_relight import load_bundle, turntable
 from lambent_relight.baked.split_sum import split_sum
 from lambent_relight.brdf import base_reflectance, materials_from_roughness
-from lambent_relight.directions import dot, normalise, pixel_directions
 from lambent_relight.environment.axes import from_axes
 from lambent_relight.environment.harmonics import basis, cosine_factors, project
 from lambent_relight.environment.maps import environment_from_array

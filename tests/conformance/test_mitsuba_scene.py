@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lambent_core.directions import normalise, pixel_directions, pixel_solid_angles
 from lambent_relight import Camera, Renderer, environment_from_array, load_bundle, look_at
 from lambent_relight.asset.write import write_formats
 from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise
-from lambent_relight.directions import normalise, pixel_directions, pixel_solid_angles
 from scipy import ndimage
 from support.asset_bundle import painted, write_asset_bundle
 from support.atlas_box import SIZES, atlas_box, coloured

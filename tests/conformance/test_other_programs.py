@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
+from lambent_core.colour import srgb_from_linear
 from lambent_relight import Renderer, load_bundle
 from lambent_relight.asset import blender_import
 from lambent_relight.asset.write import write_formats
 from lambent_relight.cameras import turntable
-from lambent_relight.images import srgb_from_linear
 from scipy import ndimage
 from support import other_programs
 from support.exported_boxes import NAMES, object_of_pixel, write_boxes

@@ -7,8 +7,8 @@ from flashcache.color import alpha_from_perceptual_roughness
 from flashcache.geometry import directions as torch_directions
 from flashcache.physical import brdf as torch_brdf
 from flashcache.physical.sampling import CosineLobe, GgxLobe
+from lambent_core import directions as numpy_directions
 from lambent_relight import brdf as numpy_brdf
-from lambent_relight import directions as numpy_directions
 
 COUNT = 500
 

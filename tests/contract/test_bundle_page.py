@@ -4,9 +4,9 @@ import re
 from pathlib import Path
 
 import pytest
+from lambent_asset.textures.photo_albedo import LARGEST_SIZE, LEAST_SIZE
 from lambent_proto.v1.bundle_pb2 import Atlas, BundleManifest
 from lambent_relight.bundle.bundle import MAX_ATLAS
-from lambent_worker.bundle.photo_albedo import LARGEST_SIZE, LEAST_SIZE
 
 TEXT = (Path(__file__).parents[2] / "docs" / "reference" / "bundle-format.md").read_text(encoding="utf-8")
 ATLAS = TEXT.split("\n### atlas\n", 1)[1].split("\n## ", 1)[0]

@@ -10,19 +10,19 @@ from typing import Any
 
 import pytest
 from lambent.cli.app import build
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
 from support.deployed import (
     CACHES,
     END_S,
     ROOT,
+    compose,
     compose_command,
-    compose_with_logs,
     image_environment,
     read_env_file,
     rest_after_runs,
 )
 
-COMPOSE = compose_with_logs()
+COMPOSE = compose()
 SERVICES = COMPOSE["services"]
 OURS = sorted(name for name, service in SERVICES.items() if service["image"].startswith("lambent:"))
 SERVERS = sorted(name for name in OURS if SERVICES[name]["command"][0] == "serve")

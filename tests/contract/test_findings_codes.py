@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import lambent_relight
-import lambent_worker
+import lambent_run
 from lambent_relight import asset
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "findings-codes.md"
@@ -16,7 +16,7 @@ NO_CODES = {"bundle.bundle", "environment.maps", "environment.exr"}
 
 
 def codes_in_sources():
-    folders = (Path(lambent_worker.__path__[0]), Path(asset.__path__[0]))
+    folders = (Path(lambent_run.__path__[0]), Path(asset.__path__[0]))
     text = "\n".join(path.read_text(encoding="utf-8") for folder in folders for path in folder.rglob("*.py"))
     return set(re.findall(rf'"((?:{AREAS})\.[a-z_]+)"', text)) - FILES
 

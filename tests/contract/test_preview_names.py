@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from lambent_server import preview_rows
-from lambent_worker.run import live_preview
-from lambent_worker.run.tasks import evaluate
+from lambent_run.run import live_preview
+from lambent_run.run.tasks import evaluate
+from lambent_server.jobs import previews as preview_rows
 
 STORE = Path(__file__).parents[2] / "client" / "web" / "src" / "jobs" / "store.ts"
 

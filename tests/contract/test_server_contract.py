@@ -38,8 +38,8 @@ def test_the_server_and_the_supervisor_import_neither_torch_nor_the_other_packag
         "sys.exit(str(bad) if bad else 0)"
     )
     for module, other in (
-        ("lambent_server.serving, lambent_server.cli", "lambent_worker"),
-        ("lambent_worker.job.supervisor", "flashcache.config"),
+        ("lambent_server.serving, lambent_server.cli", "lambent_run"),
+        ("lambent_run.job.supervisor", "flashcache.config"),
     ):
         subprocess.run([sys.executable, "-c", code.format(module=module, other=other)], check=True)
 

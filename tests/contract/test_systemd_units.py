@@ -1,4 +1,4 @@
-"""The systemd units: what systemd itself finds wrong with them, and what they start."""
+"""The systemd unit: what systemd itself finds wrong with it, and what it starts."""
 
 import os
 import shutil
@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 from lambent.cli.app import build
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
 from support.deployed import CACHES, END_S, SYSTEMD, rest_after_runs, unit, unit_command
 
-UNITS = ("lambent-server.service", "lambent.target")
+UNIT = "lambent-server.service"
 # Of systemd 254 and newer; older ones say that they ignore it.
 NEWER = "Unknown key 'DelegateSubgroup'"
 analyze = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd here")
@@ -18,17 +18,15 @@ analyze = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="th
 
 @pytest.fixture
 def installed(tmp_path: Path) -> Path:
-    """Return a folder with the units, whose program exists."""
-    program = unit_command(UNITS[0]).words[0]
-    for name in UNITS:
-        text = (SYSTEMD / name).read_text(encoding="utf-8")
-        (tmp_path / name).write_text(text.replace(program, "/bin/true"))
+    """Return a folder with the unit, whose program exists."""
+    text = (SYSTEMD / UNIT).read_text(encoding="utf-8")
+    (tmp_path / UNIT).write_text(text.replace(unit_command(UNIT).words[0], "/bin/true"))
     return tmp_path
 
 
 def verified(folder: Path) -> list[str]:
-    """Return what systemd finds wrong with the units in a folder."""
-    command = ["systemd-analyze", "verify", "--man=no", *(str(folder / name) for name in UNITS)]
+    """Return what systemd finds wrong with the unit in a folder."""
+    command = ["systemd-analyze", "verify", "--man=no", str(folder / UNIT)]
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     lines = [line for line in found.stderr.splitlines() if line and NEWER not in line]
     return lines or ([f"exit code {found.returncode}"] if found.returncode else [])
@@ -42,14 +40,14 @@ def test_systemd_finds_nothing_wrong(installed: Path):
 @analyze
 @pytest.mark.parametrize("wrong", ["NoNewPrivilege=yes", "SystemCallFilter=no_such_call", "KillMode=some"])
 def test_a_mistake_would_be_noticed(installed: Path, wrong: str):
-    path = installed / UNITS[0]
+    path = installed / UNIT
     path.write_text(path.read_text().replace("[Service]\n", f"[Service]\n{wrong}\n"))
     assert verified(installed)
 
 
 def test_the_server_is_not_killed_before_its_runs_have_had_their_time():
-    service = unit(UNITS[0])["Service"]
-    environment = unit_command(UNITS[0]).environment
+    service = unit(UNIT)["Service"]
+    environment = unit_command(UNIT).environment
     assert environment["LAMBENT_STOP_RUNS_S"] == "240"
     assert rest_after_runs(float(service["TimeoutStopSec"][0]), environment) >= END_S
     # Runs get no signal from systemd, and no SIGKILL with their server.
@@ -57,15 +55,15 @@ def test_the_server_is_not_killed_before_its_runs_have_had_their_time():
 
 
 def test_runs_inherit_a_working_directory_that_holds_nothing_but_the_program():
-    lines = (SYSTEMD / UNITS[0]).read_text(encoding="utf-8").splitlines()
+    lines = (SYSTEMD / UNIT).read_text(encoding="utf-8").splitlines()
     folders = [line.partition("=")[2] for line in lines if line.startswith("WorkingDirectory=")]
     assert folders == ["/opt/lambent"]
-    assert Path(unit_command(UNITS[0]).words[0]).is_relative_to(folders[0])
+    assert Path(unit_command(UNIT).words[0]).is_relative_to(folders[0])
 
 
 def test_compiled_kernels_are_kept_in_a_folder_that_systemd_makes():
-    (folder,) = unit(UNITS[0])["Service"]["CacheDirectory"]
-    environment = unit_command(UNITS[0]).environment
+    (folder,) = unit(UNIT)["Service"]["CacheDirectory"]
+    environment = unit_command(UNIT).environment
     for name in CACHES:
         assert Path(environment[name]).is_relative_to(f"/var/cache/{folder}")
 
@@ -73,7 +71,7 @@ def test_compiled_kernels_are_kept_in_a_folder_that_systemd_makes():
 @analyze
 def test_the_service_is_exposed_no_more_than_it_must_be(installed: Path):
     command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=30"]
-    found = subprocess.run([*command, str(installed / UNITS[0])], capture_output=True, text=True, check=False)
+    found = subprocess.run([*command, str(installed / UNIT)], capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stdout[-2000:]
 
 
@@ -99,7 +97,7 @@ def test_command_and_variables_are_ones_that_lambent_understands(
     commented: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     (tmp_path / "database-password").write_text("word")
-    command = unit_command(UNITS[0], commented=commented).replaced({"/etc/lambent": str(tmp_path)})
+    command = unit_command(UNIT, commented=commented).replaced({"/etc/lambent": str(tmp_path)})
     root = build()
     context = root.make_context("lambent", command.words[1:])
     name, subcommand, rest = root.resolve_command(context, [*context._protected_args, *context.args])
@@ -116,7 +114,7 @@ def test_command_and_variables_are_ones_that_lambent_understands(
 
 
 def test_runs_outlive_their_server_and_their_files_too():
-    service = unit(UNITS[0])["Service"]
+    service = unit(UNIT)["Service"]
     assert service["KillMode"] == ["process"]
     assert service["KillSignal"] == ["SIGTERM"]
     assert "PrivateTmp" not in service

@@ -60,7 +60,7 @@ def relit_db(bundle: Bundle, light: str) -> float:
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Job, dict[str, bytes], Bundle]:
     """Return the job that trained on the photographs, its previews of masks, and its bundle."""
-    command = [sys.executable, "-m", "lambent_worker", "run"]
+    command = [sys.executable, "-m", "lambent_run", "run"]
     with (
         LiveServer(tmp_path_factory.mktemp("server") / "data", run_command=command) as server,
         Client(server.url, server.key) as client,

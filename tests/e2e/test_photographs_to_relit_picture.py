@@ -54,7 +54,7 @@ class Trained:
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
     """Return a server that runs the real pipeline and notices a lost run within seconds."""
-    command = [sys.executable, "-m", "lambent_worker", "run"]
+    command = [sys.executable, "-m", "lambent_run", "run"]
     patient = {"heartbeat_s": 1.0, "lost_after_s": 5.0, "stop_grace_s": 20.0}
     with LiveServer(tmp_path_factory.mktemp("server") / "data", run_command=command, **patient) as server:
         yield server
@@ -67,7 +67,7 @@ def run_processes(server):
     return [
         process
         for process in psutil.Process(server.process.pid).children(recursive=True)
-        if "lambent_worker" in process.cmdline()
+        if "lambent_run" in process.cmdline()
     ]
 
 

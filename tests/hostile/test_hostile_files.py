@@ -78,7 +78,7 @@ def test_a_reader_that_fails_is_noticed(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))
     program = (
         "import sys; from support import hostile_readers as r\n"
-        "from lambent_worker.capture_qa import check_child\nfrom pathlib import Path\n"
+        "from lambent_capture.checks import check_child\nfrom pathlib import Path\n"
         "act = {'fails': lambda *_: 1 / 0, 'spawns': lambda *_: __import__('os').fork(),\n"
         "       'says nothing': lambda *_: None, 'hoards': lambda *_: bytearray(700 * 2**20)}\n"
         "for name, each in act.items():\n"

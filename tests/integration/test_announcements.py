@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from lambent_server.core.settings import Settings
 from lambent_server.database.announcing import announce
 from lambent_server.database.engine import Database
 from lambent_server.database.listening import Listener
 from lambent_server.database.tenancy import Tenant
-from lambent_server.feed import Feed, Subscription
 from lambent_server.http.budget import Budget
-from lambent_server.job_queries import insert_job
-from lambent_server.job_rows import NewEvent, append_event
+from lambent_server.jobs.feed import Feed, Subscription
+from lambent_server.jobs.queries import insert_job
+from lambent_server.jobs.rows import NewEvent, append_event
 from lambent_server.services import open_services
-from lambent_server.settings import Settings
 from sqlalchemy import text
 from support.databases import postgresql
 

@@ -6,6 +6,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from lambent.cli import app
+from lambent_core.colour import srgb_from_linear
 from lambent_relight import (
     BundleError,
     MaterialEdit,
@@ -24,7 +25,6 @@ from lambent_relight.baked.shadow_maps import shadow_map
 from lambent_relight.baked.transport import read_transport
 from lambent_relight.baked.view import look_at_surface
 from lambent_relight.bundle.graphs import NoCaches
-from lambent_relight.images import srgb_from_linear
 from support.baked_bundle import write_baked_bundle
 from support.plain_shading import shade_pixels
 

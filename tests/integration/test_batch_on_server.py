@@ -16,8 +16,8 @@ from lambent.batch_order import order_of
 from lambent.cli import app
 from lambent_relight import cameras_json, turntable, write_environment
 from lambent_relight.batch.reading import read_manifest
-from lambent_server.render_messages import NewBatch
-from lambent_server.store import BlobStore
+from lambent_server.renders.messages import NewBatch
+from lambent_server.storage.store import BlobStore
 from PIL import Image
 from support.live_server import LiveServer, wait_until
 

@@ -63,7 +63,7 @@ def children_of(out: Path) -> list[psutil.Process]:
     found = []
     for process in psutil.process_iter(["cmdline"]):
         line = process.info["cmdline"] or []
-        if any(str(out) in part for part in line) and "lambent_worker.benchmark.cell" in line:
+        if any(str(out) in part for part in line) and "lambent_run.benchmark.cell" in line:
             found.append(process)
     return found
 

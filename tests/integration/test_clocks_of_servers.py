@@ -7,16 +7,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from lambent_server import clock
-from lambent_server.clock import SteadyTime, time_of_id
+from lambent_server.cluster.membership import Membership
+from lambent_server.core import clock
+from lambent_server.core.clock import SteadyTime, time_of_id
+from lambent_server.core.settings import Settings
 from lambent_server.database.latest_time import begin_time, latest_time
 from lambent_server.database.schema import checkpoints, jobs
 from lambent_server.database.service_schema import webhook_deliveries
 from lambent_server.database.tenancy import across_tenants
-from lambent_server.membership import Membership
-from lambent_server.settings import Settings
-from lambent_server.webhook_claims import claim
-from lambent_server.webhook_places import Places
+from lambent_server.webhooks.claims import claim
+from lambent_server.webhooks.places import Places
 from sqlalchemy import update
 from support.databases import postgresql, without_tables
 from support.live_server import LiveServer, wait_until
@@ -52,7 +52,7 @@ def test_a_run_goes_on_from_the_checkpoint_committed_last_whatever_the_ids_say(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ):
     job, numbers = stage.start(), iter(range(100, 0, -1))
-    monkeypatch.setattr("lambent_server.run_reports.new_id", lambda kind: f"{kind}_{next(numbers):03d}")
+    monkeypatch.setattr("lambent_server.workers.reports.new_id", lambda kind: f"{kind}_{next(numbers):03d}")
     for step in range(10, 70, 10):
         commit(stage, job, step)
     assert [each.step for each in stage.call("Start", job).checkpoints] == [50, 60]
@@ -91,7 +91,7 @@ def test_a_delivery_waits_for_no_longer_than_any_wait_can_be(stage: Stage, wait_
 def test_what_was_just_sent_is_not_garbage_after_the_clock_was_set_forward(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ):
-    from lambent_server.housekeeping import garbage_before
+    from lambent_server.maintenance.housekeeping import garbage_before
 
     at = clock.now()
     clock.follow(at + TEN_MINUTES_S)
@@ -120,7 +120,7 @@ def test_servers_on_postgresql_take_its_time(tmp_path: Path, monkeypatch: pytest
         steady = SteadyTime()
         for name in ("begin", "follow", "now"):
             monkeypatch.setattr(clock, name, getattr(steady, name))
-        monkeypatch.setattr("lambent_server.membership.follow", steady.follow)
+        monkeypatch.setattr("lambent_server.cluster.membership.follow", steady.follow)
         wall = time.time
         monkeypatch.setattr(time, "time", lambda: wall() - TEN_MINUTES_S)
         begin_time(database)

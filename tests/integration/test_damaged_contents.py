@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from lambent import Client
-from lambent_server.store import BlobStore
+from lambent_server.storage.store import BlobStore
 from support.api import sha256
 from support.databases import postgresql
 from support.live_server import LiveServer, wait_until

@@ -13,8 +13,9 @@ from lambent.desktop.photographs import find_photographs
 from lambent.desktop.render_loop import RenderLoop
 from lambent.desktop.viewer import DesktopOptions, open_model
 from lambent.errors import LambentError
+from lambent_core.colour import srgb_from_linear
 from lambent_relight import Renderer, load_bundle, load_environment, turntable, write_environment
-from lambent_relight.images import encode_png, srgb_from_linear
+from lambent_relight.images import encode_png
 from PIL import Image
 from support.baked_bundle import write_baked_bundle
 

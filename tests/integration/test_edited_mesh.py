@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import typer
 from flashcache.errors import ConfigError
+from lambent_asset.edited.glb_file import read_glb
+from lambent_core.errors import Stopped, UsageError
 from lambent_relight import Renderer, UnsupportedQuality, load_bundle
 from lambent_relight.asset.textured_mesh import pixels_of, textured_mesh_from_glb
 from lambent_relight.baked.raster import rasterise_uv
 from lambent_relight.cameras import turntable
 from lambent_relight.environment.maps import environment_from_array
-from lambent_worker.edited.glb_file import read_glb
-from lambent_worker.errors import Stopped, UsageError
-from lambent_worker.run import edited
-from lambent_worker.run.tasks import export
+from lambent_run.run import edited
+from lambent_run.run.tasks import export
 from support.given_glb import SQUARE, glb_file
 from support.small_export import LIGHTS, Listener, small_context
 from support.sphere_model import sphere_model
@@ -192,7 +192,7 @@ def test_a_stop_inside_the_bake_leaves_no_rays_for_the_next_mesh(context, tmp_pa
 
 @pytest.mark.parametrize("weights", ["fp16", "fp32", "auto"])
 def test_networks_with_a_given_mesh_are_refused(tmp_path, weights, capsys):
-    from lambent_worker.commands.training import export as command
+    from lambent_run.commands.training import export as command
 
     with pytest.raises(typer.Exit):
         command(tmp_path, tmp_path / "b", weights=weights, mesh=EDITED / "ball_edited.glb")
@@ -216,7 +216,7 @@ def test_a_side_that_is_none_is_refused(context, tmp_path):
 
 
 def test_a_number_of_triangles_with_a_given_mesh_is_refused(tmp_path, capsys):
-    from lambent_worker.commands.training import export as command
+    from lambent_run.commands.training import export as command
 
     with pytest.raises(typer.Exit):
         command(tmp_path, tmp_path / "b", faces="1000", mesh=EDITED / "ball_edited.glb")

@@ -10,13 +10,13 @@ import pytest
 import torch
 import trimesh
 from flashcache.export import reference
+from lambent_asset.bundle.parity import with_half_tables
+from lambent_core.colour import srgb_from_linear
+from lambent_core.errors import Stopped, WorkerError
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.bundle.graphs import OnnxCaches
 from lambent_relight.environment.maps import load_environment
-from lambent_relight.images import srgb_from_linear
-from lambent_worker.bundle.parity import with_half_tables
-from lambent_worker.errors import Stopped, WorkerError
-from lambent_worker.run.tasks import export
+from lambent_run.run.tasks import export
 from PIL import Image
 from support.small_export import LIGHTS, scene, small_context
 from support.sphere_model import RADIUS, sphere_model

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import torch
 from flashcache.caches.fast_cache import LEAST_OPACITY
+from lambent_asset.bundle import graphs
+from lambent_asset.textures import surface
+from lambent_core.directions import pixel_directions
+from lambent_core.errors import UnsupportedQuality, WorkerError
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.cameras import turntable
-from lambent_relight.directions import pixel_directions
 from lambent_relight.environment.maps import environment_from_array
-from lambent_relight.errors import UnsupportedQuality
 from lambent_relight.renderer import Renderer
-from lambent_worker.bundle import graphs, surface
-from lambent_worker.errors import WorkerError
-from lambent_worker.run.tasks import export
+from lambent_run.run.tasks import export
 from support import small_export
 from support.small_export import LIGHTS, small_context
 from support.sphere_model import sphere_model

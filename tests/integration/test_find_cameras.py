@@ -5,11 +5,11 @@ import shutil
 import numpy as np
 import pycolmap
 import pytest
-from lambent_worker.errors import Stopped
-from lambent_worker.poses.advice import PoseLimits, advise
-from lambent_worker.poses.photographs import find_photographs
-from lambent_worker.poses.solve import PoseSettings, solve_cameras
-from lambent_worker.scenes.problems import Problems
+from lambent_capture.poses.advice import PoseLimits, advise
+from lambent_capture.poses.photographs import find_photographs
+from lambent_capture.poses.solve import PoseSettings, solve_cameras
+from lambent_capture.problems import Problems
+from lambent_core.errors import Stopped
 from PIL import Image, ImageFilter
 from scipy import ndimage
 from support.textured_box import SIDE, box_cameras, box_picture

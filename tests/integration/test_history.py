@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from lambent_server import compression
 from lambent_server.database.schema import bundle_files, jobs, scenes
 from lambent_server.database.tenancy import across_tenants
-from lambent_server.housekeeping import sweep
-from lambent_server.reconciler import reconcile
+from lambent_server.maintenance import compression
+from lambent_server.maintenance.housekeeping import sweep
+from lambent_server.running.reconciler import reconcile
 from sqlalchemy import func, insert, update
 from support.api import expect
 from support.database_work import STEPS_AT_ONCE, Work
@@ -203,7 +203,7 @@ def test_what_is_found_is_what_a_look_at_every_job_finds(studios: list[Studio]):
 
 
 def test_the_counts_are_those_of_the_jobs(studios: list[Studio]):
-    from lambent_server import job_counts
+    from lambent_server.jobs import counts as job_counts
 
     for each in studios:
         database = each.services.database

@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from alembic import command
 from alembic.config import Config
-from lambent_server import job_counts
+from lambent_server.api.search import named
 from lambent_server.database import engine
 from lambent_server.database.engine import Database
 from lambent_server.database.schema import jobs, scenes
 from lambent_server.database.tenancy import Tenant, across_tenants
-from lambent_server.scene_search import named
+from lambent_server.jobs import counts as job_counts
 from sqlalchemy import delete, func, insert, update
 from support.databases import without_tables
 

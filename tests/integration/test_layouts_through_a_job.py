@@ -6,13 +6,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from lambent_worker.capture_qa.check import check_capture
-from lambent_worker.report.request import EvaluationRequest
-from lambent_worker.run import evaluation as evaluation_run
-from lambent_worker.run.capture import left_out_of
-from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.spec import RunSpec
-from lambent_worker.scenes.load import load_scene
+from lambent_capture.checks.check import check_capture
+from lambent_capture.loading.load import load_scene
+from lambent_run.report.request import EvaluationRequest
+from lambent_run.run import evaluation as evaluation_run
+from lambent_run.run.capture import left_out_of
+from lambent_run.run.pipeline import run_pipeline
+from lambent_run.run.spec import RunSpec
 from support.captures import REFERENCES
 from support.layouts import ColmapBinaryFolder
 from support.recording_reporter import RecordingReporter

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from lambent_server.cluster.membership import Membership, members
+from lambent_server.cluster.shared_secrets import SHARE, WORKER, shared_secret
+from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
 from lambent_server.database.leadership import Leadership, OlderServers
-from lambent_server.membership import Membership, members
-from lambent_server.settings import Settings
-from lambent_server.shared_secrets import SHARE, WORKER, shared_secret
 from sqlalchemy import text
 from support.databases import postgresql
 from support.live_server import wait_until
@@ -183,7 +183,7 @@ def test_servers_know_where_the_others_are_and_which_of_them_live(database: Data
 
 
 def test_secrets_are_made_once_and_those_of_data_folders_are_accepted(database: Database, tmp_path: Path):
-    from lambent_server.secrets import accepted, is_run_token, new_secret, run_token
+    from lambent_server.core.secrets import accepted, is_run_token, new_secret, run_token
 
     folders = [tmp_path / name for name in ("a", "b", "c")]
     for folder in folders:

@@ -8,14 +8,14 @@ import pytest
 import torch
 from flashcache.errors import ConfigError
 from flashcache.training.checkpoint import latest_checkpoint
+from lambent_core.errors import UsageError, WorkerError
 from lambent_relight.environment.maps import write_environment
-from lambent_worker.errors import UsageError, WorkerError
-from lambent_worker.run.folder import task_folder
-from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.prepare import open_task
-from lambent_worker.run.spec import RunSpec
-from lambent_worker.run.tasks import ingest
-from lambent_worker.run.tasks.training import load_trained, read_scene
+from lambent_run.run.folder import task_folder
+from lambent_run.run.pipeline import run_pipeline
+from lambent_run.run.prepare import open_task
+from lambent_run.run.spec import RunSpec
+from lambent_run.run.tasks import ingest
+from lambent_run.run.tasks.training import load_trained, read_scene
 from support.captures import REFERENCES
 from support.recording_reporter import RecordingReporter
 

@@ -4,16 +4,16 @@ import json
 
 import numpy as np
 import pytest
+from lambent_capture.loading.load import load_scene
+from lambent_core.errors import SceneRefusedError
 from lambent_proto.v1 import scene_pb2
-from lambent_worker.errors import SceneRefusedError
-from lambent_worker.report.request import EvaluationRequest
-from lambent_worker.run.capture import read_manifest
-from lambent_worker.run.evaluation import _scene_to_compare
-from lambent_worker.run.hashes import PREPARATION
-from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.prepare import open_task
-from lambent_worker.run.spec import RunSpec
-from lambent_worker.scenes.load import load_scene
+from lambent_run.report.request import EvaluationRequest
+from lambent_run.run.capture import read_manifest
+from lambent_run.run.evaluation import _scene_to_compare
+from lambent_run.run.hashes import PREPARATION
+from lambent_run.run.pipeline import run_pipeline
+from lambent_run.run.prepare import open_task
+from lambent_run.run.spec import RunSpec
 from PIL import Image
 from support.ball_photographs import write_ball_photographs, write_masks
 from support.recording_reporter import RecordingReporter

@@ -48,7 +48,7 @@ def archive(path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
-    command = [sys.executable, "-m", "lambent_worker", "run"]
+    command = [sys.executable, "-m", "lambent_run", "run"]
     patient = {"heartbeat_s": 1.0, "lost_after_s": 30.0, "stop_grace_s": 20.0, "local_slots": 1}
     with (
         LiveServer(tmp_path_factory.mktemp("server") / "data", run_command=command, **patient) as server,

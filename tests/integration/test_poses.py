@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 import typer
+from lambent_capture.layouts.detect import describe_scene
+from lambent_capture.poses.capture import solve_capture
+from lambent_core.errors import SceneRefusedError
+from lambent_core.messages import read_message
 from lambent_proto.v1 import scene_pb2
-from lambent_worker.commands import poses as poses_cli
-from lambent_worker.errors import SceneRefusedError
-from lambent_worker.messages import read_message
-from lambent_worker.poses.capture import solve_capture
-from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.spec import RunSpec
-from lambent_worker.scenes.detect import describe_scene
+from lambent_run.commands import poses as poses_cli
+from lambent_run.run.pipeline import run_pipeline
+from lambent_run.run.spec import RunSpec
 from PIL import Image
 from support.recording_reporter import RecordingReporter
 from support.textured_box import box_cameras, write_photographs

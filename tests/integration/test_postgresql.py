@@ -9,12 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from lambent_server.api.problems import Problem
+from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
 from lambent_server.database.tenancy import Tenant
-from lambent_server.job_queries import check_quota, insert_job
-from lambent_server.problems import Problem
+from lambent_server.jobs.queries import check_quota, insert_job
 from lambent_server.services import open_services
-from lambent_server.settings import Settings
 from sqlalchemy import create_engine, inspect, literal, select, text
 from support.databases import ADMIN, postgresql
 from support.live_server import LiveServer, wait_until

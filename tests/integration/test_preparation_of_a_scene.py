@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lambent_worker.job import process
-from lambent_worker.job.connection import Connection, Identity
-from lambent_worker.job.server_reporter import ServerReporter
-from lambent_worker.run import pipeline
-from lambent_worker.run.hashes import PREPARATION
-from lambent_worker.run.tasks import ingest, masks
+from lambent_run.job import process
+from lambent_run.job.connection import Connection, Identity
+from lambent_run.job.server_reporter import ServerReporter
+from lambent_run.run import pipeline
+from lambent_run.run.hashes import PREPARATION
+from lambent_run.run.tasks import ingest, masks
 from PIL import Image
 from support.api import Api, expect
 from support.ball_photographs import write_ball_photographs

@@ -12,9 +12,9 @@ from pathlib import Path
 import psutil
 import pytest
 from flashcache.training.checkpoint import latest_checkpoint
-from lambent_worker.errors import Stopped
-from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.spec import RunSpec
+from lambent_core.errors import Stopped
+from lambent_run.run.pipeline import run_pipeline
+from lambent_run.run.spec import RunSpec
 from safetensors.torch import load_file
 from support.captures import REFERENCES
 from support.recording_reporter import RecordingReporter
@@ -47,7 +47,7 @@ def train(folder: Path, reporter: RecordingReporter, num_ranks: int = 2, tasks=(
 
 def running_ranks() -> list[psutil.Process]:
     """Return the ranks that this process has started, in their order."""
-    return [p for p in psutil.Process().children() if "lambent_worker.run.rank" in " ".join(p.cmdline())]
+    return [p for p in psutil.Process().children() if "lambent_run.run.rank" in " ".join(p.cmdline())]
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +131,7 @@ def test_ranks_end_with_a_run_that_is_killed_in_the_middle_of_a_step(tmp_path):
     program = (
         "import sys; sys.path.insert(0, sys.argv[2]); from pathlib import Path; "
         "from support.recording_reporter import RecordingReporter; "
-        "from lambent_worker.run.pipeline import run_pipeline; from lambent_worker.run.spec import RunSpec; "
+        "from lambent_run.run.pipeline import run_pipeline; from lambent_run.run.spec import RunSpec; "
         "run_pipeline(RunSpec.from_options(Path(sys.argv[3]), preset='tiny', "
         "overrides={'max_side': '16', 'checkpoint_steps': '2'}), "
         "Path(sys.argv[1]), 'cpu', RecordingReporter(), ('ingest', 'cache'), num_ranks=2)"

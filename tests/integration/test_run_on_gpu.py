@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 from lambent_relight.environment.maps import write_environment
-from lambent_worker.report.request import EvaluationRequest
-from lambent_worker.run.evaluation import evaluate_run
-from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.spec import RunSpec
+from lambent_run.report.request import EvaluationRequest
+from lambent_run.run.evaluation import evaluate_run
+from lambent_run.run.pipeline import run_pipeline
+from lambent_run.run.spec import RunSpec
 from support.captures import REFERENCES
 from support.recording_reporter import RecordingReporter
 

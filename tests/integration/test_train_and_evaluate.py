@@ -5,13 +5,13 @@ import shutil
 
 import numpy as np
 import pytest
-from lambent_relight.environment.exr import read_exr_rgb
+from lambent_core.errors import Stopped, UsageError
+from lambent_core.exr import read_exr_rgb
 from lambent_relight.environment.maps import write_environment
-from lambent_worker.errors import Stopped, UsageError
-from lambent_worker.report.request import EvaluationRequest
-from lambent_worker.run.evaluation import evaluate_run, read_maps
-from lambent_worker.run.pipeline import run_pipeline
-from lambent_worker.run.spec import RunSpec
+from lambent_run.report.request import EvaluationRequest
+from lambent_run.run.evaluation import evaluate_run, read_maps
+from lambent_run.run.pipeline import run_pipeline
+from lambent_run.run.spec import RunSpec
 from support.captures import REFERENCES
 from support.predictions import reference_evaluation
 from support.recording_reporter import RecordingReporter

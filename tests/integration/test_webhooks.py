@@ -12,13 +12,13 @@ import pytest
 from lambent import Client
 from lambent.cli.app import run
 from lambent.webhooks import verify
+from lambent_server.cluster.wakeups import Wakeups
+from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
 from lambent_server.services import Services
-from lambent_server.settings import Settings
-from lambent_server.wakeups import Wakeups
-from lambent_server.webhook_claims import Outcome, claim, lease_s, settle
-from lambent_server.webhook_places import Places
-from lambent_server.webhook_sender import Sender
+from lambent_server.webhooks.claims import Outcome, claim, lease_s, settle
+from lambent_server.webhooks.places import Places
+from lambent_server.webhooks.sender import Sender
 from support.api import Api, expect, opened
 from support.databases import postgresql
 from support.live_server import LiveServer, wait_until
@@ -146,7 +146,7 @@ def test_a_claim_is_given_to_one_and_again_only_when_it_has_ended(
             claimed += rows
         assert sorted(row["id"] for row in claimed) == ids
         late = time.time() + lease_s(settings) + 1.0
-        monkeypatch.setattr("lambent_server.webhook_claims.now", lambda: late)
+        monkeypatch.setattr("lambent_server.webhooks.claims.now", lambda: late)
         (again, *_) = claim(api.services.database, settings, Places(four))
         first = next(row for row in claimed if row["id"] == again["id"])
         # The first one comes back after all: what it says no longer counts.

@@ -244,6 +244,6 @@ def test_the_extra_worker_plans_a_training_and_usd_and_draco_add_to_it(install, 
     assert "rays" in plan
     assert "can be used" in worker.lambent("check", scene)
     worker.add("usd")
-    assert worker.python("import lambent_worker.bundle.usd; from pxr import Usd, UsdUtils").returncode == 0
+    assert worker.python("import lambent_asset.bundle.usd; from pxr import Usd, UsdUtils").returncode == 0
     worker.add("draco")
     assert worker.python("from lambent_relight.asset import draco; draco._library('a test')").returncode == 0

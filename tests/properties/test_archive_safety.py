@@ -9,10 +9,10 @@ from pathlib import Path
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lambent_server.archives import unpack
-from lambent_server.paths import path_problem
-from lambent_server.problems import Problem
-from lambent_server.settings import Settings
+from lambent_server.api.problems import Problem
+from lambent_server.core.settings import Settings
+from lambent_server.storage.archives import unpack
+from lambent_server.storage.paths import path_problem
 from support.archives import make_tar, make_zip, tar_member
 
 SETTINGS = Settings(max_scene_bytes=100_000, max_scene_files=20)

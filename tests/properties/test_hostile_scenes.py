@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.problems import MAX_FINDINGS
 from lambent_proto.v1 import scene_pb2
-from lambent_worker.scenes.inspect import inspect_capture
-from lambent_worker.scenes.problems import MAX_FINDINGS
 from support.captures import read_transforms, write_blender, write_tensoir, write_transforms
 
 pytestmark = pytest.mark.slow

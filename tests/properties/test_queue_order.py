@@ -12,8 +12,8 @@ from lambent_server.database.engine import Database
 from lambent_server.database.schema import jobs, render_orders
 from lambent_server.database.service_schema import tenant_turns
 from lambent_server.database.tenancy import Tenant
-from lambent_server.job_rows import FINAL
-from lambent_server.queue_order import QueueOrder, had_turn
+from lambent_server.jobs.rows import FINAL
+from lambent_server.running.queue_order import QueueOrder, had_turn
 from sqlalchemy import delete, insert
 from support.databases import without_tables
 
@@ -110,7 +110,7 @@ def store(database: Database, queue: list[Waiting], turns: dict[str, int] | None
             "priority": job.priority,
             "gpus": job.gpus,
             "state": job.state,
-            "handle": {"pid": 1} if job.has_process else None,
+            "handle": {"pid": 1, "run": "x/1"} if job.has_process else None,
             "order_id": job.order,
             "shard": job.shard,
         }

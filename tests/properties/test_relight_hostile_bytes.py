@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from lambent_core.errors import BundleError, CameraError, EnvironmentFileError
 from lambent_relight.bundle.onnx_check import check_onnx
 from lambent_relight.cameras import cameras_json, parse_cameras, turntable
 from lambent_relight.environment.maps import load_environment, write_environment
-from lambent_relight.errors import BundleError, CameraError, EnvironmentFileError
 from support.analytic_bundle import material_model
 from support.analytic_scene import AnalyticScene, Sphere
 

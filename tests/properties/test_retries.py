@@ -13,12 +13,12 @@ from flashcache.training.optimiser import StepRecord
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from lambent_proto.v1 import worker_pb2
-from lambent_worker.job.connection import Connection, Identity
-from lambent_worker.job.process import describe_failure, restore_checkpoints
-from lambent_worker.job.server_reporter import ServerReporter
-from lambent_worker.run.context import TaskContext
-from lambent_worker.run.spec import RunSpec
-from lambent_worker.run.tasks.training import drive
+from lambent_run.job.connection import Connection, Identity
+from lambent_run.job.process import describe_failure, restore_checkpoints
+from lambent_run.job.server_reporter import ServerReporter
+from lambent_run.run.context import TaskContext
+from lambent_run.run.spec import RunSpec
+from lambent_run.run.tasks.training import drive
 from support.runs import Stage, staged, token
 from torch import nn, optim
 

@@ -4,10 +4,10 @@ import traceback
 from pathlib import Path
 
 import numpy as np
+from lambent_capture.layouts.detect import collect_scene
+from lambent_capture.pictures.coverage import frame_coverage
+from lambent_capture.problems import Problems
 from lambent_proto.v1 import scene_pb2
-from lambent_worker.scenes.coverage import frame_coverage
-from lambent_worker.scenes.detect import collect_scene
-from lambent_worker.scenes.problems import Problems
 from strangers import reading
 from strangers.captures import Written
 from strangers.rows import Row

@@ -7,20 +7,20 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from lambent_capture.checks.limits import CaptureLimits
+from lambent_capture.checks.observe import observe
+from lambent_capture.checks.photograph_check import check_photographs
+from lambent_capture.checks.review import review
+from lambent_capture.layouts.detect import describe_scene, detect_layout
+from lambent_capture.loading.inspect import inspect_files
+from lambent_capture.loading.load import full_size_views, load_scene
+from lambent_capture.masks.photograph import photographs_of
+from lambent_capture.pictures.coverage import frame_coverage
+from lambent_capture.poses.features import grey_picture
+from lambent_capture.poses.photographs import covered_pixels, find_photographs
+from lambent_capture.problems import Problems
+from lambent_core.errors import SceneRefusedError, WorkerError
 from lambent_proto.v1 import scene_pb2
-from lambent_worker.capture_qa.limits import CaptureLimits
-from lambent_worker.capture_qa.observe import observe
-from lambent_worker.capture_qa.photograph_check import check_photographs
-from lambent_worker.capture_qa.review import review
-from lambent_worker.errors import SceneRefusedError, WorkerError
-from lambent_worker.masks.photograph import photographs_of
-from lambent_worker.poses.features import grey_picture
-from lambent_worker.poses.photographs import covered_pixels, find_photographs
-from lambent_worker.scenes.coverage import frame_coverage
-from lambent_worker.scenes.detect import describe_scene, detect_layout
-from lambent_worker.scenes.inspect import inspect_files
-from lambent_worker.scenes.load import full_size_views, load_scene
-from lambent_worker.scenes.problems import Problems
 from numpy import ndarray
 from strangers.captures import Written
 from strangers.colours import LUMINANCE, encoded

@@ -6,9 +6,9 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from lambent_server.archives import unpack
-from lambent_server.problems import Problem
-from lambent_server.settings import Settings
+from lambent_server.api.problems import Problem
+from lambent_server.core.settings import Settings
+from lambent_server.storage.archives import unpack
 from strangers.ball import write_transforms
 
 pytestmark = pytest.mark.slow

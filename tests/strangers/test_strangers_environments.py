@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
+from lambent_core.errors import EnvironmentFileError
 from lambent_relight.environment.maps import load_environment
-from lambent_relight.errors import EnvironmentFileError
 from numpy import ndarray
 from strangers import floats
 from strangers.colours import SPACES, levels_of

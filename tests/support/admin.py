@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lambent_server.admin.commands import app
-from lambent_server.secrets import read_or_create_secret
+from lambent_server.core.secrets import read_or_create_secret
 from support.api import Api, opened
 from typer.testing import CliRunner, Result
 

@@ -13,14 +13,14 @@ from typing import Any
 import structlog
 from lambent_server.accounts import organisations
 from lambent_server.app import make_app
-from lambent_server.clock import now
+from lambent_server.core.clock import now
+from lambent_server.core.secrets import sha256_text
+from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
 from lambent_server.database.schema import api_keys
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant, add_if_absent
 from lambent_server.http.identity import issue_login_code
-from lambent_server.secrets import sha256_text
 from lambent_server.services import Services, open_services
-from lambent_server.settings import Settings
 from starlette.testclient import TestClient
 
 KEY = "lk_of_the_test"

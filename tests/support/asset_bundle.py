@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 from google.protobuf import json_format
+from lambent_asset.bundle.glb import write_glb
+from lambent_asset.textures.surface import AtlasSurface
+from lambent_asset.textures.textures import TextureSet
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.cameras import Camera
 from lambent_relight.environment.maps import write_environment
-from lambent_worker.bundle.glb import write_glb
-from lambent_worker.bundle.surface import AtlasSurface
-from lambent_worker.bundle.textures import TextureSet
 from support.analytic_bundle import write_analytic_bundle, write_manifest
 from support.analytic_scene import AnalyticScene, Box, Surface
 from support.atlas_box import SIZES, coloured

@@ -1,9 +1,9 @@
 """A box with an atlas of known layout, and textures of known colours."""
 
 import numpy as np
+from lambent_asset.textures.surface import AtlasSurface
+from lambent_asset.textures.textures import TextureSet, tangent_normals
 from lambent_relight.baked.raster import interpolate, nearest_texel, rasterise_uv
-from lambent_worker.bundle.surface import AtlasSurface
-from lambent_worker.bundle.textures import TextureSet, tangent_normals
 
 SIZES = np.array([1.0, 2.0, 3.0])
 FACE_COLOURS = np.array(

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 from google.protobuf import json_format
+from lambent_asset.bundle.glb import write_glb
+from lambent_asset.textures.surface import AtlasSurface
+from lambent_asset.textures.textures import TextureSet, tangent_normals
+from lambent_asset.transport.transport import TransportConfig, bake_transport
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.baked.mesh import glb_of
 from lambent_relight.baked.raster import nearest_texel
 from lambent_relight.baked.transport import Transport, transport_files
 from lambent_relight.cameras import Camera
-from lambent_worker.bundle.glb import write_glb
-from lambent_worker.bundle.surface import AtlasSurface
-from lambent_worker.bundle.textures import TextureSet, tangent_normals
-from lambent_worker.bundle.transport import TransportConfig, bake_transport
 from support.analytic_bundle import write_analytic_bundle, write_manifest
 from support.analytic_scene import AnalyticScene, Box, NumpyOps, Surface
 from support.quad_surface import Quad, surface_of

@@ -6,9 +6,9 @@ Beside the ball a block may stand, as clutter or as what a person must take away
 from dataclasses import dataclass
 
 import numpy as np
-from lambent_worker.capture_qa.picture_camera import PictureCamera
-from lambent_worker.masks.consensus import MaskView
-from lambent_worker.masks.photograph import Photograph, SparsePoints, of_pictures
+from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.masks.consensus import MaskView
+from lambent_capture.masks.photograph import Photograph, SparsePoints, of_pictures
 from numpy import ndarray
 from scipy import ndimage
 from support.ball_views import ball_hits, rays
@@ -92,7 +92,7 @@ def _seen(
 ) -> tuple[ndarray, ndarray, ndarray]:
     """Return linear light, and which pixels show the ball and the block, by one ray through each pixel."""
     if camera.distortion:
-        from lambent_worker.masks.plane_maps import straight_rays
+        from lambent_capture.masks.plane_maps import straight_rays
 
         directions = straight_rays(camera).astype(np.float64)
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)

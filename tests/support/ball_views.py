@@ -1,9 +1,9 @@
 """Views of a ball: silhouettes whose hull, agreement and brightness are known."""
 
 import numpy as np
-from lambent_worker.capture_qa.hull import Silhouette
-from lambent_worker.capture_qa.picture_camera import PictureCamera
-from lambent_worker.capture_qa.sphere import fibonacci_sphere
+from lambent_capture.checks.hull import Silhouette
+from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.checks.sphere import fibonacci_sphere
 from numpy import ndarray
 from support.captures import look_at
 

@@ -3,10 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
-from lambent_worker.benchmark.cell import RESULT
-from lambent_worker.benchmark.plan import Cell
-from lambent_worker.files import write_json
-from lambent_worker.report.request import EvaluationRequest
+from lambent_core.files import write_json
+from lambent_run.benchmark.cell import RESULT
+from lambent_run.benchmark.plan import Cell
+from lambent_run.report.request import EvaluationRequest
 
 CELL = Cell(
     scene="crate",

@@ -14,14 +14,14 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from lambent_server.clock import now
+from lambent_server.core.clock import now
+from lambent_server.core.settings import Settings
 from lambent_server.database.schema import blobs
 from lambent_server.database.tenancy import Tenant, rows
-from lambent_server.garbage import discard
-from lambent_server.housekeeping import sweep
-from lambent_server.reconciler import remove_orphan
+from lambent_server.maintenance.housekeeping import sweep
+from lambent_server.running.reconciler import remove_orphan
 from lambent_server.services import Services, open_services
-from lambent_server.settings import Settings
+from lambent_server.storage.garbage import discard
 
 CONTENTS = [f"blob {number}".encode() * 50 for number in range(3)]
 ENOUGH = 6

@@ -1,7 +1,7 @@
 # ruff: noqa: E402 (the path comes before what is found on it)
 """A run process whose training makes an analytic bundle at once; everything else is the real worker.
 
-`python bundle_trainer.py run` stands where `python -m lambent_worker run` would.
+`python bundle_trainer.py run` stands where `python -m lambent_run run` would.
 """
 
 import sys
@@ -10,10 +10,10 @@ from pathlib import Path
 # Not the folder of this file: it has modules with names of the standard library.
 sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from lambent_worker.capture_qa.check_result import CaptureCheck
-from lambent_worker.job.order import Order
-from lambent_worker.job.process import work
-from lambent_worker.job.supervisor import supervise
+from lambent_capture.checks.check_result import CaptureCheck
+from lambent_run.job.order import Order
+from lambent_run.job.process import work
+from lambent_run.job.supervisor import supervise
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere
 from support.sleep_trainer import check

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 import yaml
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
 
 ROOT = Path(__file__).parents[2]
 CHART = ROOT / "deploy" / "helm" / "lambent"
@@ -87,21 +87,6 @@ def compose(variables: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Return docker-compose.yml as it is with these variables."""
     text = (ROOT / "docker-compose.yml").read_text(encoding="utf-8")
     return dict(interpolated(yaml.safe_load(text), variables or {}))
-
-
-def compose_with_logs() -> dict[str, Any]:
-    """Return docker-compose.yml and deploy/compose/loki.yml as Compose puts them together."""
-    whole = compose()
-    more = yaml.safe_load((ROOT / "deploy" / "compose" / "loki.yml").read_text(encoding="utf-8"))
-    for name, service in more["services"].items():
-        known = whole["services"].setdefault(name, {})
-        # Lists of volumes are joined, by their place in the container; all else is replaced.
-        volumes = {volume.split(":")[1]: volume for volume in known.get("volumes", ()) if ":" in volume}
-        added = {volume.split(":")[1]: volume for volume in service.get("volumes", ())}
-        plain = [volume for volume in known.get("volumes", ()) if ":" not in volume]
-        known |= {**service, "volumes": [*plain, *(volumes | added).values()]}
-    whole["volumes"] |= more["volumes"]
-    return whole
 
 
 def compose_command(name: str, variables: Mapping[str, str] | None = None) -> Command:

@@ -7,11 +7,11 @@ from typing import Any
 
 from lambent_server.accounts import users
 from lambent_server.admin.commands import app
+from lambent_server.core.secrets import read_or_create_secret, sha256_text
 from lambent_server.database.engine import Database
 from lambent_server.database.schema import api_keys
 from lambent_server.database.tenancy import rows
 from lambent_server.http.identity import COOKIE, open_session
-from lambent_server.secrets import read_or_create_secret, sha256_text
 from starlette.testclient import TestClient
 from support.api import TENANT, Api, expect, opened
 from support.databases import postgresql

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 from google.protobuf import json_format
+from lambent_asset.textures.surface import AtlasSurface
+from lambent_core.directions import pixel_directions
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.baked.raster import rasterise
 from lambent_relight.cameras import Camera
-from lambent_relight.directions import pixel_directions
 from lambent_relight.environment.maps import write_environment
-from lambent_worker.bundle.surface import AtlasSurface
 from support.analytic_bundle import write_manifest
 from support.baked_bundle import boxes_surface, write_baked_bundle
 from support.viewer_fixture import SCENE

@@ -10,15 +10,15 @@ import time
 from typing import Any
 
 from flashcache.errors import RankLostError, TrainingError
+from lambent_core.errors import Stopped, UsageError
 from lambent_proto.v1.job_pb2 import Progress
-from lambent_worker.errors import Stopped, UsageError
-from lambent_worker.run import rank
-from lambent_worker.run.rank import RankReporter
-from lambent_worker.run.rank_processes import RankOrder
+from lambent_run.run import rank
+from lambent_run.run.rank import RankReporter
+from lambent_run.run.rank_processes import RankOrder
 
 
 def serve(descriptor: int) -> None:
-    """Stand where `lambent_worker.run.rank.serve` does."""
+    """Stand where `lambent_run.run.rank.serve` does."""
     rank._train = play
     rank.serve(descriptor)
 

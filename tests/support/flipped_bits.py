@@ -10,7 +10,7 @@ from typing import Any
 
 import httpx2
 import obstore
-from lambent_server.store import BlobStore
+from lambent_server.storage.store import BlobStore
 from sqlalchemy import create_engine, text
 from support.live_server import LiveServer, wait_until
 from support.s3_server import S3Server

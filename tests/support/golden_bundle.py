@@ -22,10 +22,10 @@ import numpy as np
 import pytest
 import torch
 from flashcache.physical.model import InverseModel
+from lambent_asset.bundle.manifest import write_manifest
 from lambent_relight import Renderer, load_bundle
 from lambent_relight.cameras import Camera, cameras_json, look_at
-from lambent_worker.bundle.manifest import write_manifest
-from lambent_worker.run.tasks import export
+from lambent_run.run.tasks import export
 from support.golden_light import SPP, golden_light
 from support.small_export import LIGHTS, small_context
 from support.sphere_model import sphere_model

@@ -12,11 +12,12 @@ from typing import IO, Any
 
 import numpy as np
 from lambent_sandbox.sandbox import Layers
-from lambent_server import archives, decoding, decoding_child, scene_rows
-from lambent_server.decoding import Decoder
-from lambent_server.paths import path_problem
-from lambent_server.problems import Problem
-from lambent_server.settings import Settings
+from lambent_server.api.problems import Problem
+from lambent_server.core.settings import Settings
+from lambent_server.scenes import rows as scene_rows
+from lambent_server.storage import archives, decoding, decoding_child
+from lambent_server.storage.decoding import Decoder
+from lambent_server.storage.paths import path_problem
 from support.hostile_runs import MIB, OUT_OF_MEMORY, Verdict, captured, judge, lines_of, run
 
 ROOT = Path(__file__).parents[2]
@@ -131,7 +132,7 @@ def read_environment(name: str, data: bytes) -> Verdict:
 
 def read_capture(name: str, folder: Path) -> Verdict:
     """Check a capture as a worker does."""
-    from lambent_worker.capture_qa import check_child
+    from lambent_capture.checks import check_child
 
     done = run(captured(lambda: check_child.check(folder, None, None, None, {})), 1024 * MIB, [folder])
     found = judge(name, done)
@@ -158,7 +159,7 @@ def read_capture(name: str, folder: Path) -> Verdict:
 
 def _client(name: str, act: Any) -> Verdict:
     """Return what the client's library makes of a file: an error of its own, or nothing to object."""
-    from lambent_relight.errors import RelightError
+    from lambent_core.errors import RelightError
 
     def guarded() -> None:
         try:
@@ -218,14 +219,14 @@ def read_cameras(name: str, data: bytes) -> Verdict:
 
 def warm_up() -> None:
     """Load what the readers need, so that every copy has it."""
+    import lambent_capture.checks.check_child
+    import lambent_capture.checks.photograph_check
+    import lambent_capture.checks.review
+    import lambent_capture.loading.inspect
     import lambent_relight.asset.glb
     import lambent_relight.baked.scene
     import lambent_relight.bundle.bundle
     import lambent_relight.environment.maps
-    import lambent_worker.capture_qa.check_child
-    import lambent_worker.capture_qa.photograph_check
-    import lambent_worker.capture_qa.review
-    import lambent_worker.scenes.inspect
     import OpenEXR
     from PIL import Image
 
@@ -238,7 +239,7 @@ def warm_up() -> None:
     from support.hostile_client import GOLDEN
 
     lambent_relight.baked.scene.load_baked_scene(lambent_relight.bundle.bundle.load_bundle(GOLDEN))
-    assert all((lambent_relight, lambent_worker, OpenEXR))
+    assert all((lambent_relight, lambent_capture, OpenEXR))
 
 
 def faults_of(found: Verdict) -> Iterator[str]:

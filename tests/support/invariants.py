@@ -9,9 +9,9 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
-from lambent_server.housekeeping import REFERENCES
-from lambent_server.problems import Problem
-from lambent_server.store import BLOBS, BlobStore
+from lambent_server.api.problems import Problem
+from lambent_server.maintenance.housekeeping import REFERENCES
+from lambent_server.storage.store import BLOBS, BlobStore
 from sqlalchemy import Connection, text
 
 _FINAL = "('succeeded', 'failed', 'cancelled')"

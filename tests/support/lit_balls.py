@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from flashcache.data.scene import Camera, Scene, View
 from flashcache.fields.appearance import Appearance
 from flashcache.fields.materials import Materials
 from flashcache.geometry.directions import (
@@ -22,6 +21,7 @@ from flashcache.physical.brdf import DIELECTRIC_F0, brdf_cos
 from flashcache.physical.incident import unoccluded
 from flashcache.physical.model import InverseModel, ModelConfig
 from flashcache.volume.proposal_sampling import SampleCounts
+from lambent_core.scene import Camera, Scene, View
 from support.lit_sphere import camera, lit_domain
 from support.sphere_model import small_config
 from torch import Tensor

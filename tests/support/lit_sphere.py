@@ -4,8 +4,8 @@ Its radiance is its albedo, whatever the direction, since nothing occludes anyth
 """
 
 import numpy as np
-from flashcache.data.scene import Camera, Scene, View
 from flashcache.physical.model import Domain
+from lambent_core.scene import Camera, Scene, View
 
 RADIUS = 0.6
 SIDE = 24

@@ -9,10 +9,10 @@ import json
 from collections.abc import Sequence
 
 import numpy as np
-from lambent_worker.editor.session import correct_masks
-from lambent_worker.masks.corrections import Correction, record_of
-from lambent_worker.masks.editing import Editing
-from lambent_worker.masks.find import FindSettings, find_object
+from lambent_capture.editor.session import correct_masks
+from lambent_capture.masks.corrections import Correction, record_of
+from lambent_capture.masks.editing import Editing
+from lambent_capture.masks.find import FindSettings, find_object
 from support.ball_on_table import ball_on_table
 
 SECOND = np.array([0.1, -0.85, 0.25])

@@ -8,8 +8,8 @@ have a bundle of two files.
 import re
 from pathlib import Path
 
-from lambent_server import job_counts
 from lambent_server.database.engine import Database
+from lambent_server.jobs import counts as job_counts
 from sqlalchemy import Connection, text
 
 YEARS_S = 2 * 365 * 86400.0

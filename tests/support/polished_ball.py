@@ -1,8 +1,8 @@
 """A ball and pictures of it, for tests of the polish."""
 
 import torch
-from flashcache.data.scene import Scene
 from flashcache.physical.model import InverseModel
+from lambent_core.scene import Scene
 from support import lit_sphere
 from support.sphere_model import RADIUS, sphere_model
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-from flashcache.data.scene import Scene, View
-from lambent_worker.report.predictions import (
+from lambent_core.scene import Scene, View
+from lambent_run.report.predictions import (
     CACHE_FOLDER,
     DIRECT_FOLDER,
     UNSCALED_FOLDER,

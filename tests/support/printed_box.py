@@ -8,16 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from flashcache.data.scene import Camera, View
+from lambent_asset.textures.photo_shading import SurfaceUnderLight
+from lambent_asset.textures.surface import AtlasSurface
+from lambent_core.directions import pixel_directions
+from lambent_core.scene import Camera, View
 from lambent_relight import cameras as relight_cameras
 from lambent_relight.baked.mesh import AtlasMesh
 from lambent_relight.baked.raster import block_means, interpolate, rasterise
 from lambent_relight.baked.scene import BakedScene, baked_scene
 from lambent_relight.baked.transport import Transport, coarse_blocks
-from lambent_relight.directions import pixel_directions
 from lambent_relight.environment import harmonics
-from lambent_worker.bundle.photo_shading import SurfaceUnderLight
-from lambent_worker.bundle.surface import AtlasSurface
 
 Print = Callable[[np.ndarray], np.ndarray]
 """Albedo [n, 3] at positions [n, 3]."""

@@ -20,11 +20,11 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from google.protobuf import json_format
+from lambent_core.directions import pixel_directions
 from lambent_pages import content_policy
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.baked.transport import transport_files
 from lambent_relight.cameras import Camera
-from lambent_relight.directions import pixel_directions
 from lambent_relight.environment.maps import write_environment
 from support.analytic_bundle import gbuffer_model, material_model, write_manifest
 from support.analytic_scene import AnalyticScene, Box, Surface

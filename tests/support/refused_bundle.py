@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 from google.protobuf import json_format
+from lambent_core.errors import BundleError
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.bundle.bundle import load_bundle
-from lambent_relight.errors import BundleError
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere
 

@@ -10,13 +10,13 @@ from typing import Any
 import grpc
 import pytest
 from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
-from lambent_server.controller import Controller
+from lambent_server.cluster.certificates import ServerAddress
+from lambent_server.cluster.membership import Membership
+from lambent_server.core.secrets import run_token
 from lambent_server.executors import ExecutorAwayError, Gone, Handle, Launch, run_name
 from lambent_server.executors.rooms import LocalRoom
-from lambent_server.membership import Membership
-from lambent_server.secrets import run_token
-from lambent_server.worker_certificates import ServerAddress
-from lambent_server.worker_service import serve_workers
+from lambent_server.running.controller import Controller
+from lambent_server.workers.service import serve_workers
 from support.api import Api, opened
 
 SECRET = "secret of the test"

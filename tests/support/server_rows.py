@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from lambent_server.clock import now
+from lambent_server.core.clock import now
 from lambent_server.database.schema import bundle_files, bundles
 from lambent_server.database.tenancy import Tenant, add
 from support.api import TENANT, Api, sha256

@@ -1,6 +1,6 @@
 """A run process whose pipeline only sleeps, for tests of the service's faults without a model.
 
-`python sleep_trainer.py run` stands where `python -m lambent_worker run` would. The order's `params` steer
+`python sleep_trainer.py run` stands where `python -m lambent_run run` would. The order's `params` steer
 it: `num_steps`, `until` (a file: once it is there, the step in work is the last), `step_s`, `stage`,
 `checkpoint_every`, `hang_at`, `fail_at` (with `fail_how`, and `fail_once`: a file that the first failure
 makes), `touch`: a file that gets a line each time the pipeline comes to its end, and `bundle`: an archive of
@@ -16,13 +16,13 @@ import zipfile
 from pathlib import Path
 
 from google.protobuf.json_format import MessageToJson
+from lambent_capture.checks.check_result import CaptureCheck
+from lambent_core.errors import Stopped, WorkerError
 from lambent_proto.v1 import bundle_pb2, scene_pb2
 from lambent_proto.v1.job_pb2 import Progress
-from lambent_worker.capture_qa.check_result import CaptureCheck
-from lambent_worker.errors import Stopped, WorkerError
-from lambent_worker.job.order import Order
-from lambent_worker.job.process import work
-from lambent_worker.job.supervisor import supervise
+from lambent_run.job.order import Order
+from lambent_run.job.process import work
+from lambent_run.job.supervisor import supervise
 
 PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d494844520000000100000001080200000090"

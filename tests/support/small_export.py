@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from flashcache.config import EvaluationConfig, ExportConfig
-from flashcache.data.scene import Camera, Scene, View
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
+from lambent_asset.bundle import graphs as bundle_graphs
+from lambent_asset.bundle import manifest as bundle_manifest
+from lambent_core.scene import Camera, Scene, View
 from lambent_proto.v1.job_pb2 import Progress
 from lambent_relight.cameras import look_at
-from lambent_worker.bundle import graphs as bundle_graphs
-from lambent_worker.bundle import manifest as bundle_manifest
-from lambent_worker.run.context import TaskContext
-from lambent_worker.run.spec import RunSpec
-from lambent_worker.run.tasks import export
+from lambent_run.run.context import TaskContext
+from lambent_run.run.spec import RunSpec
+from lambent_run.run.tasks import export
 from support.sphere_model import BOUND
 
 SIDE = 16

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 
-from lambent_server import archive_entries, decoding_child, environment_files
+from lambent_server.storage import archive_entries, decoding_child, environment_files
 
 NAMES = {"ctypes": ctypes, "os": os, "socket": socket, "subprocess": subprocess, "sys": sys, "time": time}
 

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import torch
-from flashcache.data.scene import Scene, View
 from flashcache.encoding.turns import IDENTITY
 from flashcache.geometry.directions import environment_directions
+from lambent_core.scene import Scene, View
 from support.lit_sphere import camera
 from support.sphere import sphere_quadrature
 from support.sphere_model import RADIUS

@@ -15,13 +15,14 @@ from pathlib import Path
 
 import numpy as np
 from google.protobuf import json_format
+from lambent_core.colour import srgb_from_linear
+from lambent_core.directions import pixel_directions
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight import load_bundle, load_environment
 from lambent_relight.cameras import turntable
-from lambent_relight.directions import pixel_directions
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import write_environment
-from lambent_relight.images import encode_png, srgb_from_linear
+from lambent_relight.images import encode_png
 from lambent_relight.renderer import Renderer
 from PIL import Image
 from support.analytic_bundle import write_manifest

@@ -1,7 +1,11 @@
 """The list of mistakes fits the sources, and the program that makes them tells what happened."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import mutants
 import pytest
+from support import passages
 
 EVERYTHING = mutants.read_mutants()
 
@@ -15,6 +19,74 @@ def test_every_mutant_still_fits_its_file_and_its_nearest_tests_are_there():
         except ValueError as error:
             problems.append(str(error))
     assert problems == []
+
+
+LIMIT = """
+def limit(values):
+    return [value for value in values if value < 3]
+
+
+class Queue:
+    def take(self, count):
+        if self.ready and count > 0:
+            return self.first(count, self.ready)
+        return limit(self.values)
+"""
+WRAPPED = """
+class Queue:
+    def take(self, count):
+        # Nothing is taken before it is ready.
+        if self.ready and count > 0:
+            return self.first(
+                count,
+                self.ready,  # which are all
+            )
+        return limit(self.values)
+"""
+
+
+def _placed(folder: Path, name: str, text: str) -> tuple[Path, ...]:
+    (folder / name).parent.mkdir(parents=True)
+    (folder / name).write_text(text)
+    return (folder,)
+
+
+@pytest.mark.parametrize(("name", "text"), [("old/queue.py", LIMIT), ("new/room/queue.py", WRAPPED)])
+def test_a_passage_is_found_wherever_its_module_is_and_however_it_is_wrapped(
+    tmp_path: Path, name: str, text: str
+):
+    path, *lines = passages.place_of("queue.Queue.take", _placed(tmp_path, name, text))
+    changed = passages.replaced(
+        path.read_text(), (lines[0], lines[1]), "self.first(count, self.ready)", "self.first(\n    0\n)"
+    )
+    assert "            return self.first(\n                0\n            )\n" in changed
+    assert changed.endswith("        return limit(self.values)\n")
+
+
+@pytest.mark.parametrize(
+    ("symbol", "old", "said"),
+    [
+        ("queue.Queue.give", "count", "0 symbols are called"),
+        ("queue.limit", "self.ready", "0 times"),
+        ("queue.limit", "value", "3 times"),
+        ("queue.Queue.take", "return 3", "0 times"),
+    ],
+)
+def test_a_passage_that_is_gone_or_not_the_only_one_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, symbol: str, old: str, said: str
+):
+    mutant = replace(EVERYTHING[0], symbol=symbol, old=old, new="0")
+    _placed(tmp_path, "a/queue.py", LIMIT)
+    monkeypatch.setattr(mutants, "ROOT", tmp_path)
+    monkeypatch.setattr(mutants, "SOURCES", ("",))
+    with pytest.raises(ValueError, match=f"{said}.*name it anew"):
+        mutant.text()
+
+
+def test_a_name_that_two_modules_have_is_an_error(tmp_path: Path):
+    _placed(tmp_path, "a/queue.py", LIMIT)
+    with pytest.raises(ValueError, match=r"2 symbols are called queue\.limit"):
+        passages.place_of("queue.limit", _placed(tmp_path, "b/queue.py", LIMIT))
 
 
 def test_mutants_have_names_of_their_own_and_every_group_has_some():
@@ -42,11 +114,11 @@ def test_a_mutant_is_made_in_a_copy_only_and_judged_by_what_pytest_says(
     tmp_path, monkeypatch, code, said, outcome, by
 ):
     mutant = EVERYTHING[0]
-    right = (mutants.ROOT / mutant.file).read_text()
+    right = (mutants.ROOT / mutant.place).read_text()
     seen = []
 
     def run(self, targets, timeout_s, environment):
-        seen.append((self.folder / mutant.file).read_text())
+        seen.append((self.folder / mutant.place).read_text())
         return code, said
 
     monkeypatch.setattr(mutants, "SOURCES", ("worker",))
@@ -55,7 +127,7 @@ def test_a_mutant_is_made_in_a_copy_only_and_judged_by_what_pytest_says(
     verdict = copy.judge(mutant, 5.0)
     assert (verdict.outcome, verdict.by.rpartition("::")[2]) == (outcome, by)
     assert seen == [mutant.text()]
-    assert (copy.folder / mutant.file).read_text() == right == (mutants.ROOT / mutant.file).read_text()
+    assert (copy.folder / mutant.place).read_text() == right == (mutants.ROOT / mutant.place).read_text()
     assert (copy.folder / "tests").resolve() == mutants.TESTS
 
 

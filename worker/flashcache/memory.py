@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import torch
+from lambent_core.scene import Camera, Scene, View
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from flashcache.config import Config
 from flashcache.data.ray_batches import TrainingPixels
-from flashcache.data.scene import Camera, Scene, View
 from flashcache.data.space import domain_of
 from flashcache.kernels import dispatch
 from flashcache.physical.estimator import DirectionCounts

@@ -5,13 +5,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from lambent_core.files import file_sha256
 from lambent_relight.batch.manifest import Asset, Manifest
 from lambent_relight.batch.plan import Plan, make_plan
 from lambent_relight.bundle.bundle import Bundle, load_bundle, peek_bundle
 
 from lambent.client import Client
 from lambent.errors import RefusedError, UsageProblemError
-from lambent.file_hash import file_sha256
 
 INPUTS = "inputs"
 """Folder inside the output for fetched bundles."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lambent_core.colour import linear_from_srgb, srgb_from_linear
 from lambent_relight import (
     RelitPicture,
     Renderer,
@@ -16,7 +17,6 @@ from lambent_relight import (
     write_png,
 )
 from lambent_relight.batch.plan import renderer_digest
-from lambent_relight.images import linear_from_srgb, srgb_from_linear
 
 from lambent import truth
 from lambent.contact_sheet import write_contact_sheet

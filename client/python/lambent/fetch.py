@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
+from lambent_core.files import file_sha256
+
 from lambent.connection import Connection, TransferProgress, ignore_progress
 from lambent.errors import DigestMismatchError, RefusedError, UsageProblemError
-from lambent.file_hash import file_sha256
 from lambent.models import Artifact, FileEntry
 from lambent.provenance import beside
 

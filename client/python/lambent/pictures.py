@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+from lambent_core.files import file_sha256
+
 from lambent.connection import Connection
 from lambent.errors import RefusedError, UsageProblemError
-from lambent.file_hash import file_sha256
 from lambent.models import Artifact, Environment
 
 _BETWEEN_JOBS = frozenset({"pictures.jsonl", "tiles.zip"})

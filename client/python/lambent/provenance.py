@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from lambent_core.errors import BundleError
 from lambent_relight.bundle.archive import digest, open_source
-from lambent_relight.errors import BundleError
 
 from lambent.errors import LambentError, UsageProblemError
 

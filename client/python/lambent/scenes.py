@@ -7,10 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from lambent_core.files import file_sha256
+
 from lambent.connection import Connection, TransferProgress, ignore_progress
 from lambent.direct import DirectSender, LocalFile, NoWayError, is_store_away, patiently
 from lambent.errors import RefusedError, UsageProblemError
-from lambent.file_hash import file_sha256
 from lambent.models import FileEntry, Scene
 
 ARCHIVES = {

@@ -11,6 +11,15 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from lambent_core.errors import (
+        BundleError,
+        CameraError,
+        EnvironmentFileError,
+        RelightError,
+        SettingError,
+        UnsupportedQuality,
+    )
+
     from lambent_relight.bundle.bundle import Bundle, load_bundle
     from lambent_relight.cameras import (
         Camera,
@@ -28,44 +37,36 @@ if TYPE_CHECKING:
         load_environment,
         write_environment,
     )
-    from lambent_relight.errors import (
-        BundleError,
-        CameraError,
-        EnvironmentFileError,
-        RelightError,
-        SettingError,
-        UnsupportedQuality,
-    )
     from lambent_relight.images import write_picture_exr, write_png
     from lambent_relight.picture import RelitPicture
     from lambent_relight.renderer import Renderer, render
 
 _HOMES = {
-    "Bundle": "bundle.bundle",
-    "BundleError": "errors",
-    "Camera": "cameras",
-    "CameraError": "errors",
-    "Cleaning": "environment.maps",
-    "Environment": "environment.maps",
-    "EnvironmentFileError": "errors",
-    "MaterialEdit": "edits",
-    "RelightError": "errors",
-    "RelitPicture": "picture",
-    "Renderer": "renderer",
-    "SettingError": "errors",
-    "UnsupportedQuality": "errors",
-    "cameras_from_arrays": "cameras",
-    "cameras_json": "cameras",
-    "environment_from_array": "environment.maps",
-    "load_bundle": "bundle.bundle",
-    "load_cameras": "cameras",
-    "load_environment": "environment.maps",
-    "look_at": "cameras",
-    "render": "renderer",
-    "turntable": "cameras",
-    "write_environment": "environment.maps",
-    "write_picture_exr": "images",
-    "write_png": "images",
+    "Bundle": "lambent_relight.bundle.bundle",
+    "BundleError": "lambent_core.errors",
+    "Camera": "lambent_relight.cameras",
+    "CameraError": "lambent_core.errors",
+    "Cleaning": "lambent_relight.environment.maps",
+    "Environment": "lambent_relight.environment.maps",
+    "EnvironmentFileError": "lambent_core.errors",
+    "MaterialEdit": "lambent_relight.edits",
+    "RelightError": "lambent_core.errors",
+    "RelitPicture": "lambent_relight.picture",
+    "Renderer": "lambent_relight.renderer",
+    "SettingError": "lambent_core.errors",
+    "UnsupportedQuality": "lambent_core.errors",
+    "cameras_from_arrays": "lambent_relight.cameras",
+    "cameras_json": "lambent_relight.cameras",
+    "environment_from_array": "lambent_relight.environment.maps",
+    "load_bundle": "lambent_relight.bundle.bundle",
+    "load_cameras": "lambent_relight.cameras",
+    "load_environment": "lambent_relight.environment.maps",
+    "look_at": "lambent_relight.cameras",
+    "render": "lambent_relight.renderer",
+    "turntable": "lambent_relight.cameras",
+    "write_environment": "lambent_relight.environment.maps",
+    "write_picture_exr": "lambent_relight.images",
+    "write_png": "lambent_relight.images",
 }
 
 __all__ = [
@@ -105,11 +106,11 @@ def __getattr__(name: str) -> object:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     try:
-        return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+        return getattr(importlib.import_module(_HOMES[name]), name)
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("lambent"):
             raise
-        from lambent_proto.extras import pip_install
+        from lambent_core.extras import pip_install
 
         advice = f"{__name__} needs the package {error.name!r}: {pip_install('client')}"
         raise ModuleNotFoundError(advice, name=error.name) from error

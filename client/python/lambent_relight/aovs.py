@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping
 from typing import get_args
 
 import numpy as np
-from lambent_proto.pictures import Pass
+from lambent_core.pictures import Pass
 from numpy.typing import NDArray
 
 from lambent_relight import cryptomatte

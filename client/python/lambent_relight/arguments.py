@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from lambent_core.errors import RelightError, SettingError
 from numpy.typing import NDArray
 
-from lambent_relight.errors import RelightError, SettingError
 from lambent_relight.validation import shown
 
 Kind = TypeVar("Kind")

@@ -8,8 +8,7 @@ same formulas as `flashcache.physical.brdf`, in numpy.
 from dataclasses import dataclass
 
 import numpy as np
-
-from lambent_relight.directions import Array, dot, frame_axes, normalise
+from lambent_core.directions import Array, dot, frame_axes, normalise
 
 DIELECTRIC_F0 = 0.04
 """Reflectance of a non-metal at normal incidence."""

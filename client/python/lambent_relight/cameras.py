@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lambent_core.errors import CameraError
 from numpy.typing import NDArray
 
 from lambent_relight.arguments import array, file_path, instance, number, refusal, whole
-from lambent_relight.errors import CameraError
 
 _MAX_SIDE = 16384
 _MAX_CAMERAS = 100_000

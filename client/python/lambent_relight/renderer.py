@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
-from lambent_proto.pictures import RenderSettings
+from lambent_core.directions import normalise, rotate_about_z
+from lambent_core.errors import SettingError
+from lambent_core.pictures import RenderSettings
 from numpy.typing import ArrayLike, NDArray
 
 from lambent_relight.arguments import array, colour, instance, number, refusal, whole
@@ -22,11 +24,9 @@ from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import NoCaches, OnnxCaches, SurfaceCaches
 from lambent_relight.camera_matrices import camera_attributes
 from lambent_relight.cameras import Camera
-from lambent_relight.directions import normalise, rotate_about_z
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment, as_environment
-from lambent_relight.errors import SettingError
 from lambent_relight.picture import RelitPicture
 from lambent_relight.refined.denoising import denoised
 from lambent_relight.refined.pixel_rays import PixelRays

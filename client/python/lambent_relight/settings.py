@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from lambent_proto.pictures import RenderSettings
+from lambent_core.errors import RelightError, SettingError, UnsupportedQuality
+from lambent_core.pictures import RenderSettings
 from pydantic import ValidationError
 
-from lambent_relight.errors import RelightError, SettingError, UnsupportedQuality
 from lambent_relight.validation import problems_of
 
 Colour = tuple[float, float, float]

@@ -12,10 +12,9 @@ three.js with the same names, so that our viewers show the same picture. Exposur
 from typing import get_args
 
 import numpy as np
-from lambent_proto.pictures import ToneMapping
+from lambent_core.errors import SettingError
+from lambent_core.pictures import ToneMapping
 from numpy.typing import NDArray
-
-from lambent_relight.errors import SettingError
 
 NAMES = get_args(ToneMapping)
 _START_COMPRESSION, _DESATURATION = 0.8 - 0.04, 0.15

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection
 
-from lambent_server import reservations
 from lambent_server.accounts import audit, quotas
 from lambent_server.accounts.who import Who
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
+from lambent_server.storage import reservations
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

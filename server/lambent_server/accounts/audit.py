@@ -15,11 +15,11 @@ from pydantic import JsonValue
 from sqlalchemy import Connection, RowMapping, select
 
 from lambent_server.accounts.who import Who
-from lambent_server.clock import now
+from lambent_server.api.problems import Problem
+from lambent_server.core.clock import now
 from lambent_server.database.people_schema import audit_entries, audit_heads, audit_permits
 from lambent_server.database.people_schema import organisations as organisation_rows
 from lambent_server.database.tenancy import Tenant, add, add_if_absent, change, remove, rows
-from lambent_server.problems import Problem
 
 DONE = "done"
 SERVER = Tenant("")

@@ -7,7 +7,7 @@ from sqlalchemy import ColumnElement, Connection, Select, Table, select, update
 
 from lambent_server.accounts.scopes import ALL, ScopeName, of_role, parsed
 from lambent_server.accounts.who import Maker
-from lambent_server.clock import now
+from lambent_server.core.clock import now
 from lambent_server.database.people_schema import members, organisations, users
 from lambent_server.database.schema import api_keys, jobs, shares
 from lambent_server.database.service_schema import webhook_deliveries, webhooks

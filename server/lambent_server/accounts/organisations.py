@@ -5,10 +5,10 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from lambent_server.clock import now
+from lambent_server.api.problems import Problem, conflict, invalid
+from lambent_server.core.clock import now
 from lambent_server.database.people_schema import organisations
 from lambent_server.database.tenancy import Tenant, across_tenants, add_if_absent, change, rows
-from lambent_server.problems import Problem, conflict, invalid
 
 ID_PATTERN = r"[a-z0-9][a-z0-9_-]{0,39}"
 Row = Mapping[str, Any]

@@ -10,12 +10,12 @@ from typing import Any
 
 from sqlalchemy import Connection, func, select
 
-from lambent_server import reservations
 from lambent_server.accounts import organisations, usage
-from lambent_server.clock import now
+from lambent_server.api.problems import Problem
+from lambent_server.core.clock import now
+from lambent_server.core.settings import Settings
 from lambent_server.database.tenancy import Tenant
-from lambent_server.problems import Problem
-from lambent_server.settings import Settings
+from lambent_server.storage import reservations
 
 BYTES = "max_bytes"
 JOBS = "max_queued_jobs"

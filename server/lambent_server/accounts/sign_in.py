@@ -8,11 +8,11 @@ from sqlalchemy import Connection
 
 from lambent_server.accounts import organisations, users
 from lambent_server.accounts.scopes import ROLES
-from lambent_server.clock import now
+from lambent_server.api.outside_text import plain
+from lambent_server.core.clock import now
+from lambent_server.core.settings import Settings
 from lambent_server.database.people_schema import members
 from lambent_server.database.tenancy import Tenant, across_tenants
-from lambent_server.outside_text import plain
-from lambent_server.settings import Settings
 
 PROXY = "proxy"
 """The issuer of people whom a proxy names."""

@@ -8,12 +8,12 @@ from sqlalchemy import ColumnElement, Connection, Table, delete, select, update
 from lambent_server.accounts import audit
 from lambent_server.accounts.makers import end_what_was_made
 from lambent_server.accounts.scopes import ROLES, ScopeName, of_role
-from lambent_server.clock import new_id, now
+from lambent_server.api.problems import conflict, invalid, not_found
+from lambent_server.core.clock import new_id, now
 from lambent_server.database.cluster_schema import login_codes
 from lambent_server.database.people_schema import members, organisations, users
 from lambent_server.database.schema import api_keys, sessions
 from lambent_server.database.tenancy import Tenant, across_tenants, add, change, remove, rows
-from lambent_server.problems import conflict, invalid, not_found
 
 OPERATOR = "operator"
 CLAIM = "claim"

@@ -66,7 +66,7 @@ def verify(
 def export(org: OrgOption = "", data: DataOption = None, database: DatabaseOption = None) -> None:
     """Print the log as JSON lines, oldest first."""
     from lambent_server.accounts import audit
-    from lambent_server.clock import rfc3339
+    from lambent_server.core.clock import rfc3339
     from lambent_server.database.tenancy import Tenant
 
     with opened(data, database) as services, services.database.read() as connection:
@@ -89,7 +89,7 @@ def prune(
     """Remove the oldest entries, which nothing else can; those that stay can still be verified."""
     from lambent_server.accounts import audit
     from lambent_server.accounts.who import operator
-    from lambent_server.clock import now
+    from lambent_server.core.clock import now
     from lambent_server.database.tenancy import Tenant
 
     tenant, before = Tenant("" if org == "-" else org), now() - age(older)

@@ -42,12 +42,12 @@ class Switch(StrEnum):
 def _state(services: "Services") -> dict[str, Any]:
     from sqlalchemy import func, or_
 
-    from lambent_server.clock import rfc3339
+    from lambent_server.cluster.server_state import DRAIN, MAINTENANCE, read
+    from lambent_server.core.clock import rfc3339
     from lambent_server.database.schema import jobs as job_table
     from lambent_server.database.service_schema import webhook_deliveries
     from lambent_server.database.tenancy import across_tenants
-    from lambent_server.job_rows import FINAL, HAS_RUN
-    from lambent_server.server_state import DRAIN, MAINTENANCE, read
+    from lambent_server.jobs.rows import FINAL, HAS_RUN
 
     active = job_table.c.state.not_in(FINAL)
     has_process = or_(job_table.c.state.in_(HAS_RUN), job_table.c.handle.is_not(None))
@@ -71,7 +71,7 @@ def _state(services: "Services") -> dict[str, Any]:
 
 def _sandbox(services: "Services") -> dict[str, Any]:
     """Return the layers around processes that decode uploads on this machine, and what is missing."""
-    from lambent_server.decoding import probe
+    from lambent_server.storage.decoding import probe
 
     layers = probe(services.settings)
     return {"wanted": services.settings.sandbox, "in_force": layers.in_force, "missing": layers.missing}
@@ -103,8 +103,8 @@ def servers(data: DataOption = None, database: DatabaseOption = None, as_json: J
     """List the servers on this database, those that died lately among them, and which one leads."""
     from dataclasses import asdict
 
-    from lambent_server.clock import rfc3339
-    from lambent_server.membership import members
+    from lambent_server.cluster.membership import members
+    from lambent_server.core.clock import rfc3339
 
     with opened(data, database) as services, services.database.read() as connection:
         found = members(connection)
@@ -134,7 +134,7 @@ def drain(
     database: DatabaseOption = None,
 ) -> None:
     """Start no more runs: those that run go on to their end, and jobs are still accepted and queue up."""
-    from lambent_server.server_state import DRAIN
+    from lambent_server.cluster.server_state import DRAIN
 
     with opened(data, database) as services:
         _tell(services, DRAIN, switch, message)
@@ -153,7 +153,7 @@ def maintenance(
     database: DatabaseOption = None,
 ) -> None:
     """Refuse changes with 503 and Retry-After; reading works, and runs go on and report."""
-    from lambent_server.server_state import MAINTENANCE
+    from lambent_server.cluster.server_state import MAINTENANCE
 
     with opened(data, database) as services:
         _tell(services, MAINTENANCE, switch, message, retry_after_s)
@@ -162,7 +162,7 @@ def maintenance(
 def _tell(services: "Services", name: str, switch: Switch, message: str, retry_after_s: int = 60) -> None:
     from lambent_server.accounts import audit
     from lambent_server.accounts.who import operator
-    from lambent_server.server_state import announce, withdraw
+    from lambent_server.cluster.server_state import announce, withdraw
 
     with services.database.write() as connection:
         if switch is Switch.ON:
@@ -180,9 +180,10 @@ def reconcile(data: DataOption = None, database: DatabaseOption = None, store: S
 
     A running server does the same at its start and every hour. Exit code 1 when bytes are missing.
     """
-    from lambent_server import reconciler, serving
+    from lambent_server import serving
     from lambent_server.accounts import audit
     from lambent_server.accounts.who import operator
+    from lambent_server.running import reconciler
 
     with opened(data, database, store, with_store=True) as services:
         try:

@@ -30,7 +30,7 @@ LIMIT = 10_000
 
 def _found(services: "Services", **given: Any) -> list[dict[str, Any]]:
     """Return the jobs of a filter, oldest first, at most LIMIT."""
-    from lambent_server.clock import now
+    from lambent_server.core.clock import now
     from lambent_server.database.schema import job_labels, jobs
     from lambent_server.database.tenancy import across_tenants
 
@@ -61,7 +61,7 @@ def _found(services: "Services", **given: Any) -> list[dict[str, Any]]:
 
 
 def _show(rows: list[dict[str, Any]], as_json: bool) -> None:
-    from lambent_server.clock import rfc3339
+    from lambent_server.core.clock import rfc3339
 
     shown = [
         {
@@ -113,10 +113,10 @@ def cancel(
     as_json: JsonOption = False,
 ) -> None:
     """Cancel unfinished jobs; those that run are `cancelling` until their process is gone."""
-    from lambent_server import job_queries
     from lambent_server.accounts import audit
     from lambent_server.accounts.who import operator
-    from lambent_server.job_rows import FINAL, owner
+    from lambent_server.jobs import queries as job_queries
+    from lambent_server.jobs.rows import FINAL, owner
 
     def act(connection: "Connection", job: dict[str, Any], _services: "Services") -> None:
         current = job_queries.require_job(connection, owner(job), job["id"], lock=True)
@@ -144,10 +144,11 @@ def requeue(
     as_json: JsonOption = False,
 ) -> None:
     """Queue failed and cancelled jobs again, each as a new job with the same request."""
-    from lambent_server import job_queries, render_rows
     from lambent_server.accounts import audit
     from lambent_server.accounts.who import operator
-    from lambent_server.job_rows import CANCELLED, FAILED, owner
+    from lambent_server.jobs import queries as job_queries
+    from lambent_server.jobs.rows import CANCELLED, FAILED, owner
+    from lambent_server.renders import rows as render_rows
 
     def act(connection: "Connection", job: dict[str, Any], services: "Services") -> None:
         if job["order_id"] is None:
@@ -172,7 +173,7 @@ def _each(
     as_json: bool,
 ) -> None:
     """Do it to every job, or show which; exit code 4 when one was refused."""
-    from lambent_server.problems import Problem
+    from lambent_server.api.problems import Problem
 
     if not yes:
         _show(rows, as_json)

@@ -27,14 +27,14 @@ def opened(
     from pydantic import ValidationError
     from sqlalchemy.exc import SQLAlchemyError
 
+    from lambent_server.api.problems import Problem
+    from lambent_server.cluster.shared_secrets import is_data_folder
+    from lambent_server.cluster.wakeups import Wakeups
+    from lambent_server.core.secrets import SecretError
     from lambent_server.database.latest_time import begin_time
     from lambent_server.executors.local import count_gpus
-    from lambent_server.problems import Problem
-    from lambent_server.secrets import SecretError
     from lambent_server.services import open_database
-    from lambent_server.shared_secrets import is_data_folder
-    from lambent_server.store import BlobStore
-    from lambent_server.wakeups import Wakeups
+    from lambent_server.storage.store import BlobStore
 
     settings = settings_of(data=data, database=database, store=store)
     if not is_data_folder(settings.data):

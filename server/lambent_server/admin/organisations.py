@@ -71,9 +71,9 @@ def list_organisations(
 
 def _show(services: "Services", connection: "Connection", row: Any) -> dict[str, Any]:
     from lambent_server.accounts import usage, users
-    from lambent_server.clock import rfc3339
+    from lambent_server.core.clock import rfc3339
     from lambent_server.database.tenancy import Tenant
-    from lambent_server.job_queries import num_unfinished
+    from lambent_server.jobs.queries import num_unfinished
 
     tenant = Tenant(row["tenant_id"])
     return {
@@ -104,7 +104,7 @@ def reopen(org: IdArgument, data: DataOption = None, database: DatabaseOption = 
 def _set_closed(org: str, closed: bool, data: Any, database: str | None) -> None:
     from lambent_server.accounts import audit, organisations
     from lambent_server.accounts.who import operator
-    from lambent_server.clock import now
+    from lambent_server.core.clock import now
     from lambent_server.database.tenancy import Tenant
 
     tenant = Tenant(org)
@@ -133,10 +133,10 @@ def delete(
     Nobody gets in from the first moment, jobs are cancelled, and when their runs have ended everything goes.
     Exit code 1 if bytes are left for the server's sweep. There is no way back.
     """
-    from lambent_server import erasure, housekeeping
     from lambent_server.accounts import organisations
     from lambent_server.accounts.who import operator
     from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
+    from lambent_server.maintenance import erasure, housekeeping
 
     tenant = Tenant(org)
     if org == DEFAULT_TENANT_ID:
@@ -188,7 +188,7 @@ def quota(
     from lambent_server.accounts import audit, organisations, quotas, usage
     from lambent_server.accounts.who import operator
     from lambent_server.database.tenancy import Tenant
-    from lambent_server.job_queries import num_unfinished, promised_gpu_minutes
+    from lambent_server.jobs.queries import num_unfinished, promised_gpu_minutes
 
     tenant = Tenant(org)
     given = {

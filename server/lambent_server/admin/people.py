@@ -38,8 +38,8 @@ def add(
     """Let somebody sign in, or give a user another role or a further organisation."""
     from lambent_server.accounts import audit, organisations, users
     from lambent_server.accounts.who import operator
+    from lambent_server.api.problems import Problem
     from lambent_server.database.tenancy import Tenant
-    from lambent_server.problems import Problem
 
     tenant = Tenant(org)
     with opened(data, database) as services, services.database.write() as connection:
@@ -62,8 +62,8 @@ def remove(
     """Let somebody no longer belong to an organisation; sessions and keys there end at once."""
     from lambent_server.accounts import audit, users
     from lambent_server.accounts.who import operator
+    from lambent_server.api.problems import not_found
     from lambent_server.database.tenancy import Tenant
-    from lambent_server.problems import not_found
 
     tenant = Tenant(org)
     with opened(data, database) as services, services.database.write() as connection:
@@ -83,7 +83,7 @@ def list_users(
 ) -> None:
     """List people, and what they are in which organisation."""
     from lambent_server.accounts import users
-    from lambent_server.clock import rfc3339
+    from lambent_server.core.clock import rfc3339
 
     with opened(data, database) as services, services.database.read() as connection:
         shown = []
@@ -141,7 +141,7 @@ def _record(connection: Any, logs: list[str], action: str, user_id: str) -> None
 def disable(user: UserArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
     """Sign somebody out everywhere, and let them in no more; their keys stop working."""
     from lambent_server.accounts import users
-    from lambent_server.clock import now
+    from lambent_server.core.clock import now
 
     with opened(data, database) as services, services.database.write() as connection:
         found = users.require(connection, user)
@@ -203,8 +203,7 @@ def create_key(
     """Print a new key, this once."""
     from pydantic import ValidationError
 
-    from lambent_server import keys
-    from lambent_server.accounts import audit, organisations, users
+    from lambent_server.accounts import audit, keys, organisations, users
     from lambent_server.accounts.who import operator
     from lambent_server.database.tenancy import Tenant
 
@@ -234,7 +233,7 @@ def list_keys(
     as_json: JsonOption = False,
 ) -> None:
     """List keys, without the keys themselves."""
-    from lambent_server import keys
+    from lambent_server.accounts import keys
     from lambent_server.database.schema import api_keys
     from lambent_server.database.tenancy import across_tenants
 
@@ -257,12 +256,11 @@ def revoke(
     database: DatabaseOption = None,
 ) -> None:
     """Let a key never work again."""
-    from lambent_server import keys
-    from lambent_server.accounts import audit
+    from lambent_server.accounts import audit, keys
     from lambent_server.accounts.who import operator
+    from lambent_server.api.problems import not_found
     from lambent_server.database.schema import api_keys
     from lambent_server.database.tenancy import Tenant, across_tenants
-    from lambent_server.problems import not_found
 
     with opened(data, database) as services, services.database.write() as connection:
         statement = across_tenants(api_keys, api_keys.c.tenant_id).where(api_keys.c.id == key)

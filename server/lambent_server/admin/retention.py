@@ -66,11 +66,11 @@ def run(
     as_json: JsonOption = False,
 ) -> None:
     """Delete what the rules say, or list it."""
-    from lambent_server import retention
     from lambent_server.accounts import organisations
     from lambent_server.accounts.who import operator
-    from lambent_server.clock import rfc3339
+    from lambent_server.core.clock import rfc3339
     from lambent_server.database.tenancy import Tenant
+    from lambent_server.maintenance import retention
 
     tenant = Tenant(org)
     with opened(data, database) as services:

@@ -34,8 +34,8 @@ def list_webhooks(
     """List subscriptions; of URLs only the host is shown, for the rest may be a secret."""
     from lambent_server.database.service_schema import webhooks
     from lambent_server.database.tenancy import across_tenants
-    from lambent_server.webhook_outbox import host_of
-    from lambent_server.webhook_rows import show
+    from lambent_server.webhooks.outbox import host_of
+    from lambent_server.webhooks.rows import show
 
     statement = across_tenants(webhooks).order_by(webhooks.c.id)
     if tenant:
@@ -54,8 +54,8 @@ def disable(webhook: IdArgument, data: DataOption = None, database: DatabaseOpti
     from lambent_server.accounts import audit
     from lambent_server.accounts.who import operator
     from lambent_server.database.tenancy import Tenant
-    from lambent_server.webhook_rows import ASKED
-    from lambent_server.webhook_rows import disable as disable_row
+    from lambent_server.webhooks.rows import ASKED
+    from lambent_server.webhooks.rows import disable as disable_row
 
     with opened(data, database) as services, services.database.write() as connection:
         row = _require(connection, webhook)
@@ -71,8 +71,8 @@ def enable(webhook: IdArgument, data: DataOption = None, database: DatabaseOptio
     from lambent_server.accounts import audit
     from lambent_server.accounts.who import operator
     from lambent_server.database.tenancy import Tenant
-    from lambent_server.webhook_messages import WebhookChange
-    from lambent_server.webhook_rows import update
+    from lambent_server.webhooks.messages import WebhookChange
+    from lambent_server.webhooks.rows import update
 
     with opened(data, database) as services, services.database.write() as connection:
         row = _require(connection, webhook)
@@ -83,9 +83,9 @@ def enable(webhook: IdArgument, data: DataOption = None, database: DatabaseOptio
 
 
 def _require(connection: Any, webhook: str) -> dict[str, Any]:
+    from lambent_server.api.problems import not_found
     from lambent_server.database.service_schema import webhooks
     from lambent_server.database.tenancy import across_tenants
-    from lambent_server.problems import not_found
 
     found = connection.execute(across_tenants(webhooks).where(webhooks.c.id == webhook)).mappings()
     row = found.one_or_none()
@@ -95,7 +95,7 @@ def _require(connection: Any, webhook: str) -> dict[str, Any]:
 
 
 def _deliveries(services: Any, tenant: str, state: str, older: str) -> list[dict[str, Any]]:
-    from lambent_server.clock import now
+    from lambent_server.core.clock import now
     from lambent_server.database.service_schema import webhook_deliveries
     from lambent_server.database.tenancy import across_tenants
 
@@ -124,7 +124,7 @@ def deliveries(
     as_json: JsonOption = False,
 ) -> None:
     """List the newest 1000 deliveries."""
-    from lambent_server.webhook_rows import show_delivery
+    from lambent_server.webhooks.rows import show_delivery
 
     with opened(data, database) as services:
         found = _deliveries(services, tenant, state, older)
@@ -150,10 +150,10 @@ def redeliver(
     """Deliver again what failed; receivers know repeats by the id."""
     from lambent_server.accounts import audit
     from lambent_server.accounts.who import operator
+    from lambent_server.api.problems import Problem
     from lambent_server.database.tenancy import Tenant
-    from lambent_server.problems import Problem
-    from lambent_server.webhook_rows import redeliver as redeliver_row
-    from lambent_server.webhook_rows import require_delivery
+    from lambent_server.webhooks.rows import redeliver as redeliver_row
+    from lambent_server.webhooks.rows import require_delivery
 
     with opened(data, database) as services:
         for row in _deliveries(services, tenant, state, older):

@@ -15,7 +15,7 @@ from sqlalchemy import (
     select,
 )
 
-from lambent_server.clock import now
+from lambent_server.core.clock import now
 
 metadata = MetaData(
     naming_convention={

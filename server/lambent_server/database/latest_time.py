@@ -2,7 +2,7 @@
 
 from sqlalchemy import Connection, func, select
 
-from lambent_server import clock
+from lambent_server.core import clock
 from lambent_server.database.columns import clock_time
 from lambent_server.database.engine import Database
 from lambent_server.database.schema import (

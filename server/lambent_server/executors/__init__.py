@@ -5,17 +5,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
 
-# How an executor finds a process; stored in the job's row, so it is JSON and survives the server. It says by
-# which executor, on which host and by which server the run was started. Before the process exists it has only
-# that and `gpus`: they are taken as soon as the row says that the job runs.
+# How an executor finds a process; stored in the job's row, so it is JSON and survives the server. It has
+# `executor`, `host`, `server` and `gpus` as soon as the row says that the job runs, and `run`, its name,
+# as soon as the process exists. The rest is read by the executor alone.
 Handle = dict[str, Any]
 
 
 def is_placed(handle: Handle | None) -> bool:
-    """Return whether a handle is that of a run that was started: it leads to a process, or to an actor."""
-    return handle is not None and ("pid" in handle or "actor" in handle)
+    """Return whether a handle is that of a run that was started, and leads to its process."""
+    return handle is not None and "run" in handle
 
 
 class ExecutorAwayError(Exception):

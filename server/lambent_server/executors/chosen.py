@@ -1,26 +1,47 @@
-"""The executor that the settings ask for."""
+"""The kinds of executors, and the one that the settings ask for."""
 
 import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass
 
-from lambent_proto.extras import pip_install
+from lambent_core.extras import pip_install
 
+from lambent_server.core.settings import Settings
 from lambent_server.executors import Executor
 from lambent_server.executors.groups import groups_or_none
 from lambent_server.executors.local import LocalExecutor
-from lambent_server.settings import Settings
 
 
 class ExecutorSetupError(Exception):
     """The executor cannot be used; the message says why and what to do."""
 
 
-def open_executor(settings: Settings, secret: str) -> Executor:
-    """Return the executor, ready to start runs; raises ExecutorSetupError.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Kind:
+    """A kind of executor."""
 
-    A Ray cluster that does not answer yet is no error: runs start when it does.
-    """
-    if settings.executor == "local":
-        return LocalExecutor(settings, groups_or_none())
+    open: Callable[[Settings, str], Executor]
+    """Return it ready to start runs; raises ExecutorSetupError."""
+    on_this_machine: bool
+    """Whether its places are those of this machine; otherwise servers share them, and none owns them."""
+
+
+def open_executor(settings: Settings, secret: str) -> Executor:
+    """Return the executor, ready to start runs; raises ExecutorSetupError."""
+    return KINDS[settings.executor].open(settings, secret)
+
+
+def is_on_this_machine(settings: Settings) -> bool:
+    """Return whether runs have the places of this machine."""
+    return KINDS[settings.executor].on_this_machine
+
+
+def _open_local(settings: Settings, secret: str) -> Executor:
+    return LocalExecutor(settings, groups_or_none())
+
+
+def _open_ray(settings: Settings, secret: str) -> Executor:
+    """Return the executor of a Ray cluster, which may answer later: runs start when it does."""
     if importlib.util.find_spec("ray") is None:
         raise ExecutorSetupError(f"serve.ray_missing: Ray is not installed; {pip_install('server', 'ray')}")
     if settings.ray_address is None:
@@ -46,3 +67,10 @@ def open_executor(settings: Settings, secret: str) -> Executor:
     executor = RayExecutor(settings, secret)
     executor.open()
     return executor
+
+
+KINDS = {
+    "local": Kind(open=_open_local, on_this_machine=True),
+    "ray": Kind(open=_open_ray, on_this_machine=False),
+}
+"""The values of the setting `executor`."""

@@ -11,11 +11,14 @@ from pathlib import Path
 
 PACKAGES = (
     "lambent_proto",
+    "lambent_core",
     "lambent_sandbox",
     "lambent_compute",
     "lambent_relight",
     "flashcache",
-    "lambent_worker",
+    "lambent_capture",
+    "lambent_asset",
+    "lambent_run",
 )
 """What a run process is made of."""
 

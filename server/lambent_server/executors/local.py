@@ -15,6 +15,7 @@ from pathlib import Path
 import psutil
 import structlog
 
+from lambent_server.core.settings import Settings
 from lambent_server.executors import (
     ExecutorAwayError,
     Gone,
@@ -25,7 +26,6 @@ from lambent_server.executors import (
 )
 from lambent_server.executors.groups import Groups
 from lambent_server.executors.rooms import LocalRoom
-from lambent_server.settings import Settings
 
 log = structlog.get_logger()
 

@@ -18,6 +18,7 @@ from typing import Any
 
 import structlog
 
+from lambent_server.core.settings import Settings
 from lambent_server.executors import (
     ExecutorAwayError,
     Gone,
@@ -30,7 +31,6 @@ from lambent_server.executors import (
 from lambent_server.executors.local import PASSED_ON, SECRET
 from lambent_server.executors.ray_cluster import Actor, Cluster, Look
 from lambent_server.executors.rooms import GPU, ClusterRoom, Needs
-from lambent_server.settings import Settings
 
 log = structlog.get_logger()
 

@@ -14,8 +14,8 @@ from typing import IO, Any, Literal
 
 import structlog
 
+from lambent_server.core.settings import Settings
 from lambent_server.executors import ExecutorAwayError
-from lambent_server.settings import Settings
 
 log = structlog.get_logger()
 

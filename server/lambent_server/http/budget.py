@@ -15,9 +15,9 @@ from typing import Self
 
 from starlette.datastructures import Headers
 
-from lambent_server.metrics import REQUESTS_REFUSED
-from lambent_server.problems import Problem
-from lambent_server.settings import Settings
+from lambent_server.api.problems import Problem
+from lambent_server.core.metrics import REQUESTS_REFUSED
+from lambent_server.core.settings import Settings
 
 STREAMS = "streams"
 BODIES = "bodies"

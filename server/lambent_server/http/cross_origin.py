@@ -2,8 +2,8 @@
 
 from starlette.datastructures import Headers
 
+from lambent_server.accounts.shares import bundle_read, is_named_by_a_link
 from lambent_server.database.engine import Database
-from lambent_server.shares import bundle_read, is_named_by_a_link
 
 _PREFLIGHT_S = 600
 

@@ -9,9 +9,9 @@ from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
+from lambent_server.api.problems import MEDIA_TYPE, Detail, Problem
 from lambent_server.http.middleware import INTERNAL
-from lambent_server.outages import away
-from lambent_server.problems import MEDIA_TYPE, Detail, Problem
+from lambent_server.storage.outages import away
 
 log = structlog.get_logger()
 _CODES = {

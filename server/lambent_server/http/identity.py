@@ -17,17 +17,17 @@ from lambent_server.accounts.makers import (
     with_user,
 )
 from lambent_server.accounts.scopes import ADMIN, of_role
+from lambent_server.accounts.shares import Row, signed
 from lambent_server.accounts.sign_in import PROXY
 from lambent_server.accounts.who import NOBODY, Maker, Who
-from lambent_server.clock import now
+from lambent_server.core.clock import now
+from lambent_server.core.secrets import sha256_text
 from lambent_server.database.cluster_schema import login_codes
 from lambent_server.database.engine import Database
 from lambent_server.database.people_schema import members, users
 from lambent_server.database.schema import api_keys, sessions
 from lambent_server.database.tenancy import Tenant, across_tenants, add, remove
-from lambent_server.secrets import sha256_text
 from lambent_server.services import Services
-from lambent_server.shares import Row, signed
 
 COOKIE = "lambent_session"
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import structlog
 
-from lambent_server.secrets import SecretError
-from lambent_server.settings import Settings
+from lambent_server.core.secrets import SecretError
+from lambent_server.core.settings import Settings
 
 log = structlog.get_logger()
 

@@ -6,8 +6,8 @@ from typing import Any
 
 from anyio import to_thread
 
-from lambent_server.problems import Problem
-from lambent_server.server_state import MAINTENANCE, Notices
+from lambent_server.api.problems import Problem
+from lambent_server.cluster.server_state import MAINTENANCE, Notices
 
 Scope = MutableMapping[str, Any]
 App = Callable[[Scope, Any, Any], Awaitable[None]]

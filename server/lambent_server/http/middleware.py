@@ -14,7 +14,12 @@ from starlette.datastructures import Headers
 
 from lambent_server.accounts import audit
 from lambent_server.accounts.scopes import READ
+from lambent_server.accounts.shares import COOKIE as SHARE_COOKIE
+from lambent_server.accounts.shares import bundle_read, frame_ancestors, is_active, is_token
 from lambent_server.accounts.who import Who
+from lambent_server.api.outside_text import check_target
+from lambent_server.api.problems import Problem
+from lambent_server.core.secrets import sha256_text
 from lambent_server.database.tenancy import Tenant
 from lambent_server.http import cross_origin
 from lambent_server.http.budget import SIGN_INS, Budget, Place, client_of_address, kind_of
@@ -24,13 +29,8 @@ from lambent_server.http.rates import Rates
 from lambent_server.http.rechecks import Identify, Rechecks
 from lambent_server.http.request import PUBLIC, SAFE, App, Exchange, Message, Receive, Scope, Send
 from lambent_server.http.request_turns import TURN, Turn, turns
-from lambent_server.outages import away
-from lambent_server.outside_text import check_target
-from lambent_server.problems import Problem
-from lambent_server.secrets import sha256_text
 from lambent_server.services import Services
-from lambent_server.shares import COOKIE as SHARE_COOKIE
-from lambent_server.shares import bundle_read, frame_ancestors, is_active, is_token
+from lambent_server.storage.outages import away
 
 log = structlog.get_logger()
 

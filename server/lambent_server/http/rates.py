@@ -7,9 +7,9 @@ import math
 import time
 from collections.abc import Callable
 
-from lambent_server.metrics import REQUESTS_REFUSED
-from lambent_server.problems import Problem
-from lambent_server.settings import Settings
+from lambent_server.api.problems import Problem
+from lambent_server.core.metrics import REQUESTS_REFUSED
+from lambent_server.core.settings import Settings
 
 _FORGET_ABOVE = 10_000
 _SIGN_IN = "sign-in"

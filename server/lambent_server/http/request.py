@@ -11,11 +11,11 @@ from typing import Any
 import structlog
 from starlette.datastructures import Headers, MutableHeaders
 
-from lambent_server.clock import new_id
+from lambent_server.api.problems import MEDIA_TYPE, Detail, Problem
+from lambent_server.core.clock import new_id
+from lambent_server.core.metrics import REQUEST_SECONDS
 from lambent_server.http import cross_origin
 from lambent_server.http.budget import BODIES, REQUESTS, Place
-from lambent_server.metrics import REQUEST_SECONDS
-from lambent_server.problems import MEDIA_TYPE, Detail, Problem
 from lambent_server.services import Services
 
 Scope = MutableMapping[str, Any]

@@ -9,8 +9,8 @@ from contextlib import AsyncExitStack
 
 from fastapi import Request
 
-from lambent_server.fair_places import FairPlaces
-from lambent_server.settings import Settings
+from lambent_server.api.fair_places import FairPlaces
+from lambent_server.core.settings import Settings
 
 THREADS = 40
 """As many as anyio has for requests."""

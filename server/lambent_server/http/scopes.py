@@ -7,7 +7,7 @@ from fastapi import APIRouter, Request
 
 from lambent_server.accounts.scopes import ADMIN, READ, RENDER, SUBMIT, ScopeName
 from lambent_server.accounts.who import Who
-from lambent_server.problems import Problem
+from lambent_server.api.problems import Problem
 
 # By the name of the route's function, which is its operation in the description. None: nobody has to say who
 # they are (`request.PUBLIC` has their paths).

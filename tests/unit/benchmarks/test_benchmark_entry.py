@@ -10,7 +10,7 @@ from benchmarks import __main__ as entry
 def test_every_benchmark_is_listed_with_a_sentence():
     found = entry.benchmarks()
     assert {"kernels", "quality", "footprint"} <= set(found)
-    assert not {"reference_scores", "oracle_light"} & set(found)
+    assert not {"reference_scores", "painted_scene"} & set(found)
     assert all(sentence.endswith((".", "?")) for sentence in found.values())
 
 

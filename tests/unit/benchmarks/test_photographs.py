@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lambent_capture.layouts.detect import describe_scene
+from lambent_core.directions import pixel_directions
+from lambent_core.exr import write_exr
 from lambent_relight import Camera, Renderer, environment_from_array, load_bundle, look_at
-from lambent_relight.directions import pixel_directions
-from lambent_relight.environment.exr import write_exr
 from lambent_relight.environment.maps import write_environment
-from lambent_worker.scenes.detect import describe_scene
 from PIL import Image, ImageOps
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere, Surface

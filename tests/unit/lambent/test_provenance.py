@@ -14,10 +14,10 @@ import pytest
 from lambent import provenance
 from lambent.cli.app import run
 from lambent.errors import LambentError, UsageProblemError
+from lambent_server.core.secrets import SecretError
+from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
 from lambent_server.provenance import Signer, new_key, open_signer, pre_authentication, statement_of
-from lambent_server.secrets import SecretError
-from lambent_server.settings import Settings
 from support.api import sha256
 from support.databases import postgresql
 

@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from lambent_core.errors import CameraError
 from lambent_relight.cameras import Camera, cameras_json, look_at, parse_cameras, turntable
-from lambent_relight.errors import CameraError
 
 
 def test_turntable_cameras_look_at_the_target_with_the_world_upright():

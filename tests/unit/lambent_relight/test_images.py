@@ -6,15 +6,9 @@ from dataclasses import replace
 import numpy as np
 import OpenEXR
 import pytest
-from lambent_relight.environment.exr import REC709_CHROMATICITIES, write_exr
-from lambent_relight.images import (
-    encode_png,
-    linear_from_srgb,
-    read_picture_exr,
-    srgb_from_linear,
-    write_picture_exr,
-    write_png,
-)
+from lambent_core.colour import linear_from_srgb, srgb_from_linear
+from lambent_core.exr import REC709_CHROMATICITIES, write_exr
+from lambent_relight.images import encode_png, read_picture_exr, write_picture_exr, write_png
 from lambent_relight.picture import RelitPicture
 from PIL import Image
 

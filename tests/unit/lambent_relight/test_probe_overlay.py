@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from lambent_core.directions import normalise, pixel_directions
 from lambent_relight.cameras import turntable
-from lambent_relight.directions import normalise, pixel_directions
 from lambent_relight.environment.maps import environment_from_array
 from lambent_relight.environment.probes import GREY
 from lambent_relight.picture import RelitPicture

@@ -3,7 +3,7 @@
 import lambent_relight
 import numpy as np
 import pytest
-from lambent_proto.pictures import RenderSettings
+from lambent_core.pictures import RenderSettings
 from lambent_relight import (
     BundleError,
     Camera,

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from lambent_core.directions import directions_of_uv, frame_axes, normalise, pixel_solid_angles
 from lambent_relight import brdf
-from lambent_relight.directions import directions_of_uv, frame_axes, normalise, pixel_solid_angles
 from support.statistics import assert_mean
 
 RNG = np.random.default_rng(0)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from lambent_core.directions import dot, normalise
 from lambent_relight.brdf import (
     brdf_cos,
     cosine_pdf,
@@ -11,7 +12,6 @@ from lambent_relight.brdf import (
     half_vector,
     materials_from_roughness,
 )
-from lambent_relight.directions import dot, normalise
 from lambent_relight.environment.light_sampling import COSINE_LOBE, LightSampler, lobe_of_alpha
 from lambent_relight.environment.maps import environment_from_array
 from lambent_relight.refined.scattering import SurfacePoints, draw_directions, strategy_shares

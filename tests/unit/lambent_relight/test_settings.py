@@ -4,9 +4,9 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from lambent_proto.pictures import Axes, RenderSettings
+from lambent_core.errors import SettingError, UnsupportedQuality
+from lambent_core.pictures import Axes, RenderSettings
 from lambent_relight.environment.axes import QUARTER_TURNS
-from lambent_relight.errors import SettingError, UnsupportedQuality
 from lambent_relight.settings import BACKGROUNDS, settled
 
 

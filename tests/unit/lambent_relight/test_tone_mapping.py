@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lambent_relight.errors import SettingError
+from lambent_core.errors import SettingError
 from lambent_relight.tone_mapping import NAMES, tone_mapped
 
 GREYS = np.repeat(np.geomspace(1e-4, 1e3, 200), 3).reshape(-1, 3)

@@ -37,8 +37,8 @@ def test_drain_and_maintenance_are_told_and_taken_back(api: Api):
 
 def test_drain_waits_until_no_run_is_left(api: Api, monkeypatch: pytest.MonkeyPatch):
     from lambent_server.admin import commands
-    from lambent_server.job_queries import require_job
-    from lambent_server.job_rows import RUNNING, SUCCEEDED, move
+    from lambent_server.jobs.queries import require_job
+    from lambent_server.jobs.rows import RUNNING, SUCCEEDED, move
 
     job = api.job()["id"]
 
@@ -72,8 +72,8 @@ def test_jobs_are_cancelled_by_filter_and_only_when_asked_twice(api: Api):
 
 
 def test_failed_jobs_are_queued_again_as_new_ones(api: Api):
-    from lambent_server.job_queries import require_job
-    from lambent_server.job_rows import FAILED, move
+    from lambent_server.jobs.queries import require_job
+    from lambent_server.jobs.rows import FAILED, move
 
     jobs = [api.job(labels={"show": "a"}, priority=3)["id"] for _ in range(2)]
     with api.services.database.write() as connection:

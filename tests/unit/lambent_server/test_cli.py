@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import typer
 from lambent_server.cli import serve
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
 from typer.testing import CliRunner
 
 app = typer.Typer()

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
 from pydantic import ValidationError
 
 URL = "postgresql://lambent@db:5432/lambent"

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from lambent_proto.v1 import worker_pb2
 from lambent_server.database.schema import jobs
-from lambent_server.job_rows import set_fields
+from lambent_server.jobs.rows import set_fields
 from support.runs import Others, Stage, staged
 
 
@@ -31,7 +31,15 @@ def travel(stage: Stage, seconds: float) -> None:
 
 def give_away(stage: Stage, job: str, **handle: Any) -> None:
     """Make a run one of another server."""
-    found = {"pid": 7, "identity": "x", "server": "server_there", "host": "there", "gpus": [], **handle}
+    found = {
+        "pid": 7,
+        "run": "x",
+        "identity": "x",
+        "server": "server_there",
+        "host": "there",
+        "gpus": [],
+        **handle,
+    }
     with stage.api.services.database.write() as connection:
         row = connection.execute(jobs.select().where(jobs.c.id == job)).mappings().one()
         set_fields(connection, row, handle=found)

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from lambent_server.database.schema import jobs
 from lambent_server.executors import ExecutorAwayError, Handle, Launch
-from lambent_server.job_rows import set_fields
+from lambent_server.jobs.rows import set_fields
 from support.runs import FakeExecutor, Others, Stage, staged
 
 

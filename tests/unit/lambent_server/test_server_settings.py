@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from lambent_server.settings import Settings
+from lambent_server.core.settings import Settings
 
 
 def _is_path(annotation):

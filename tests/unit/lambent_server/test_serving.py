@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from lambent_server.core.settings import Settings
 from lambent_server.serving import (
     MIN_CONNECTIONS,
     OTHER_FILES,
@@ -16,8 +17,7 @@ from lambent_server.serving import (
     allow_connections,
     end_signal,
 )
-from lambent_server.settings import Settings
-from lambent_server.worker_link import MAX_SOCKET_PATH, worker_address
+from lambent_server.workers.link import MAX_SOCKET_PATH, worker_address
 
 
 def test_a_long_data_folder_gets_a_socket_that_no_other_user_reaches(

@@ -8,9 +8,9 @@ import grpc
 import pytest
 from lambent_server.database.schema import garbage
 from lambent_server.database.tenancy import across_tenants
-from lambent_server.housekeeping import sweep
-from lambent_server.job_queries import require_job
-from lambent_server.job_rows import set_fields
+from lambent_server.jobs.queries import require_job
+from lambent_server.jobs.rows import set_fields
+from lambent_server.maintenance.housekeeping import sweep
 from support.api import TENANT, expect, sha256
 from support.runs import Stage, refused, staged
 from support.server_rows import add_bundle

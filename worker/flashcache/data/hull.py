@@ -7,10 +7,10 @@ may be denied by a few views, since masks have mistakes, and no pixel of a mask 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32, Int
+from lambent_core.scene import Camera, Scene, View
 from numpy import ndarray
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
-from flashcache.data.scene import Camera, Scene, View
 from flashcache.encoding.occupancy import OccupancyConfig
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 from flashcache.kernels import dispatch

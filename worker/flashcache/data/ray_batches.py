@@ -6,11 +6,11 @@ from typing import Literal
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32, Int, Int64
+from lambent_core.scene import Scene, View
 from numpy import ndarray
 from scipy.ndimage import binary_dilation
 from torch import Tensor
 
-from flashcache.data.scene import Scene, View
 from flashcache.encoding.occupancy import Occupancy
 from flashcache.errors import ConfigError, TrainingError
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from lambent_core.scene import Scene
 
 from flashcache.caches.environment import EnvironmentConfig
-from flashcache.data.scene import Scene
 from flashcache.encoding.turns import IDENTITY
 from flashcache.errors import ConfigError
 from flashcache.physical.model import Domain

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float, Float32
+from lambent_core.scene import Camera
 from numpy import ndarray
 from torch import Tensor
 
 from flashcache.color import perceptual_roughness_from_alpha
-from flashcache.data.scene import Camera
 from flashcache.evaluation.threads import on_all_cores
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 from flashcache.physical.model import InverseModel

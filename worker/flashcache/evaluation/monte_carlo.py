@@ -10,10 +10,10 @@ from typing import Literal
 
 import torch
 from jaxtyping import Float, Float32
+from lambent_core.scene import Camera
 from numpy import ndarray
 from torch import Tensor
 
-from flashcache.data.scene import Camera
 from flashcache.errors import ConfigError
 from flashcache.evaluation.gbuffer import CHUNK_RAYS, OPACITY_FLOOR, camera_rays
 from flashcache.evaluation.threads import on_all_cores

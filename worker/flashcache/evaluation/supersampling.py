@@ -6,9 +6,9 @@ mixes two, and a point of a texture where it has an average.
 
 import numpy as np
 from jaxtyping import Float32
+from lambent_core.scene import Camera
 from numpy import ndarray
 
-from flashcache.data.scene import Camera
 from flashcache.errors import ConfigError
 from flashcache.evaluation.gbuffer import OPACITY_FLOOR, GBuffer
 from flashcache.evaluation.monte_carlo import Picture

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Float
+from lambent_core.scene import Camera, Scene
 from torch import Tensor
 
-from flashcache.data.scene import Camera, Scene
 from flashcache.evaluation.gbuffer import camera_rays
 from flashcache.evaluation.radiance_derivatives import SeenPoints
 from flashcache.evaluation.threads import on_all_cores

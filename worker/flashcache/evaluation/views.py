@@ -5,10 +5,10 @@ Pictures are numpy float32; radiance is linear Rec. 709, straight (not multiplie
 
 import torch
 from jaxtyping import Float32
+from lambent_core.scene import Camera
 from numpy import ndarray
 from torch import Tensor
 
-from flashcache.data.scene import Camera
 from flashcache.evaluation.gbuffer import GBuffer, camera_rays, render_gbuffer
 from flashcache.evaluation.lighting import lit_radiance, sky_sampler
 from flashcache.evaluation.monte_carlo import Picture, RenderRule, monte_carlo

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
-from lambent_proto.pictures import safe_name
+from lambent_core.pictures import safe_name
 from lambent_relight.batch.journal import NAME as JOURNAL
 from lambent_relight.batch.journal import Journal, Record, open_journal, record_from_json
 from lambent_relight.batch.manifest import Manifest

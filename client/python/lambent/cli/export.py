@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from lambent_proto.extras import pip_install
+from lambent_core.extras import pip_install
 from lambent_relight.environment.axes import OURS
 from lambent_relight.environment.layouts import AUTO
 

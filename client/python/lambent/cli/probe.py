@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from lambent_core.colour import srgb_from_linear
 from lambent_relight import Environment, write_environment
 from lambent_relight.environment.axes import OURS
 from lambent_relight.environment.input import OpenedEnvironment, open_environment
 from lambent_relight.environment.layouts import AUTO
-from lambent_relight.images import srgb_from_linear
 from PIL import Image
 
 from lambent.cli.environment_options import (

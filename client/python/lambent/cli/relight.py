@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from lambent_proto.pictures import RenderSettings
+from lambent_core.pictures import RenderSettings
 from lambent_relight import MaterialEdit, load_cameras
 from lambent_relight.batch.manifest import Asset, Files, Light
 from lambent_relight.environment.axes import OURS

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lambent_proto.pictures import RenderSettings
+from lambent_core.files import whole_file
+from lambent_core.pictures import RenderSettings
 from lambent_relight import Bundle, BundleError, Camera, RelightError, load_bundle
 from lambent_relight.batch.journal import Journal, Record, open_journal
 from lambent_relight.batch.manifest import SUFFIXES, Asset, Files, Light, Quality
 from lambent_relight.batch.plan import Plan, Row, bundle_digest, check_names, light_digests
 from lambent_relight.batch.run import Result, run_batch
-from lambent_relight.files import whole_file
 
 from lambent.cli.output import Output, format_duration
 from lambent.cli.progress import Live, bars

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
-from lambent_proto.pictures import RenderSettings
+from lambent_core.pictures import RenderSettings
 from lambent_relight.settings import settled
 
 from lambent.cli.rendering import check_choice, relight_errors

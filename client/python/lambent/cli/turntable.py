@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from lambent_proto.pictures import RenderSettings
+from lambent_core.pictures import RenderSettings
 from lambent_relight import Bundle
 from lambent_relight.batch.manifest import Asset, Files, Light
 from lambent_relight.batch.plan import Row

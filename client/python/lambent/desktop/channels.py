@@ -7,10 +7,10 @@ else shows numbers: black is 0 and white is 1, normals are 0.5 n + 0.5.
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from lambent_core.colour import srgb_from_linear
+from lambent_core.directions import rotate_about_z
 from lambent_relight import Bundle, RelitPicture
 from lambent_relight.bundle.uncertainty import UncertaintyGrid
-from lambent_relight.directions import rotate_about_z
-from lambent_relight.images import srgb_from_linear
 from lambent_relight.tone_mapping import tone_mapped
 from numpy.typing import NDArray
 

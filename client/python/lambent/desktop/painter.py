@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from lambent_core.colour import srgb_from_linear
 from lambent_relight import Camera, RelitPicture, Renderer, write_picture_exr
 from lambent_relight.aovs import OBJECT_NAME
 from lambent_relight.bundle.graphs import (
@@ -19,7 +20,6 @@ from lambent_relight.bundle.graphs import (
     SecondaryHits,
     SurfaceCaches,
 )
-from lambent_relight.images import srgb_from_linear
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 

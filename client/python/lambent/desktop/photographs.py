@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from lambent_core.colour import linear_from_srgb
 from lambent_relight import Bundle, Camera, load_cameras
-from lambent_relight.images import linear_from_srgb
 from numpy.typing import NDArray
 from PIL import Image
 

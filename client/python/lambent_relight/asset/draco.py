@@ -7,12 +7,12 @@ are. Source: glTF extension KHR_draco_mesh_compression.
 from typing import Any
 
 import numpy as np
-from lambent_proto.extras import pip_install
+from lambent_core.errors import BundleError, ExportError
+from lambent_core.extras import pip_install
 from numpy.typing import NDArray
 
 from lambent_relight.asset.glb import packed_glb
 from lambent_relight.baked.mesh import UNREADABLE, glb_accessor, glb_chunks, glb_view
-from lambent_relight.errors import BundleError, ExportError
 
 DRACO = "KHR_draco_mesh_compression"
 POSITION_BITS = 16

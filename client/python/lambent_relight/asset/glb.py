@@ -8,12 +8,12 @@ import io
 from collections.abc import Mapping
 from typing import Any
 
+from lambent_core.errors import BundleError
 from PIL import Image
 
 from lambent_relight.asset.ktx2 import KTX2, MIME, ktx2_of
 from lambent_relight.asset.textured_mesh import TexturedMesh, textures_of
 from lambent_relight.baked.mesh import UNREADABLE, glb_chunks, glb_of, glb_view
-from lambent_relight.errors import BundleError
 
 WEBP = "EXT_texture_webp"
 

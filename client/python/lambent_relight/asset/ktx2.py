@@ -10,8 +10,9 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+from lambent_core.errors import ExportError
+
 from lambent_relight.asset.textured_mesh import pixels_of
-from lambent_relight.errors import ExportError
 
 KTX2 = "KHR_texture_basisu"
 MIME = "image/ktx2"

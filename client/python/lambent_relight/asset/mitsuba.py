@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from lambent_proto.pictures import safe_name
+from lambent_core.pictures import safe_name
 from numpy.typing import NDArray
 
 from lambent_relight.asset.textured_mesh import TexturedMesh, pixels_of, png_of

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from lambent_core.colour import linear_from_srgb, srgb_from_linear
+from lambent_core.errors import BundleError
 from numpy.typing import NDArray
 from PIL import Image
 
 from lambent_relight.baked.mesh import UNREADABLE, glb_chunks, mesh_from_glb
 from lambent_relight.baked.mesh_textures import pixels_of, texture_png, textures_of
-from lambent_relight.errors import BundleError
-from lambent_relight.images import linear_from_srgb, srgb_from_linear
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lambent_proto.extras import pip_install
+from lambent_core.errors import ExportError
+from lambent_core.extras import pip_install
 
 from lambent_relight.asset.textured_mesh import TexturedMesh
-from lambent_relight.errors import ExportError
 
 METRES_PER_UNIT = 1.0
 """Metres per scene unit where that is unknown, as glTF readers assume."""

@@ -5,6 +5,8 @@ import tempfile
 from collections.abc import Collection
 from pathlib import Path
 
+from lambent_core.errors import ExportError
+
 from lambent_relight.asset.draco import glb_with_draco
 from lambent_relight.asset.glb import glb_with_textures
 from lambent_relight.asset.mitsuba import write_mitsuba
@@ -14,7 +16,6 @@ from lambent_relight.asset.usdz import write_usdz
 from lambent_relight.baked.mesh import MESH_PATH
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.environment.maps import Environment
-from lambent_relight.errors import ExportError
 
 FORMATS = ("glb", "usdz", "obj", "mitsuba")
 _MAX_BYTES = 512 << 20

@@ -9,12 +9,12 @@ the mesh.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from lambent_core.directions import normalise
 from numpy.typing import NDArray
 
 from lambent_relight.baked.depth_steps import DepthSteps, depth_steps, pixel_numbers
 from lambent_relight.baked.view import BakedView, turned_to
 from lambent_relight.bundle.graphs import NoCaches, PrimaryHits, SurfaceCaches
-from lambent_relight.directions import normalise
 from lambent_relight.views import MIN_OPACITY, grown, rays_of_pixels
 
 _AROUND = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))

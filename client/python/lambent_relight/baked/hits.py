@@ -7,6 +7,7 @@ The diffuse part comes from the irradiance of the nearest texel, the specular pa
 from functools import cached_property
 
 import numpy as np
+from lambent_core.directions import dot
 from numpy.typing import NDArray
 
 from lambent_relight.baked.light import BakedLight, coarse_bounce, lit_texels, texel_irradiance
@@ -15,7 +16,6 @@ from lambent_relight.baked.split_sum import split_sum
 from lambent_relight.baked.transport_kernels import NearestPoint
 from lambent_relight.baked.transport_lobes import open_share
 from lambent_relight.brdf import DIELECTRIC_F0
-from lambent_relight.directions import dot
 from lambent_relight.edits import MaterialEdit
 
 

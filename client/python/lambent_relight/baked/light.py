@@ -8,11 +8,11 @@ nothing is filtered again. Source: docs/reference/conventions.md.
 from dataclasses import dataclass
 
 import numpy as np
+from lambent_core.directions import rotate_about_z
 from numpy.typing import NDArray
 
 from lambent_relight.baked.scene import BakedScene
 from lambent_relight.baked.transport import NUM_SHADOW_DIRECTIONS, shadow_directions
-from lambent_relight.directions import rotate_about_z
 from lambent_relight.environment import harmonics
 from lambent_relight.environment.dominant_lights import split
 from lambent_relight.environment.maps import Environment

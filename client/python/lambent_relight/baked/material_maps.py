@@ -12,10 +12,10 @@ from functools import cache
 import numpy as np
 from lambent_compute.compiling import compiled
 from lambent_compute.threads import available_threads, for_each
+from lambent_core.colour import linear_from_srgb, srgb_from_linear
 from numpy.typing import NDArray
 
 from lambent_relight.baked.mesh_textures import material_textures
-from lambent_relight.images import linear_from_srgb, srgb_from_linear
 
 _PLACES_PER_TASK = 1 << 16
 _ROWS_AT_ONCE = 256

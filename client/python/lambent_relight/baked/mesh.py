@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from lambent_core.errors import BundleError
 from numpy.typing import NDArray
 
 from lambent_relight.bundle.bundle import Bundle
-from lambent_relight.errors import BundleError
 
 MESH_PATH = "mesh/asset.glb"
 MAX_MESH_BYTES = 512 << 20

@@ -8,12 +8,12 @@ import struct
 from typing import Any
 
 import numpy as np
+from lambent_core.errors import BundleError
 from numpy.typing import NDArray
 from PIL import Image
 
 from lambent_relight.baked.mesh import UNREADABLE, glb_chunks, glb_view
 from lambent_relight.bundle.bundle import MAX_ATLAS
-from lambent_relight.errors import BundleError
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from lambent_core.directions import normalise
 from numpy.typing import NDArray
 
 from lambent_relight.baked.edges import with_soft_edges
@@ -19,7 +20,6 @@ from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import NoCaches, SurfaceCaches
 from lambent_relight.camera_matrices import camera_attributes
 from lambent_relight.cameras import Camera
-from lambent_relight.directions import normalise
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import Environment
 from lambent_relight.picture import RelitPicture

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from lambent_core.directions import normalise
+from lambent_core.errors import BundleError, UnsupportedQuality
 from numpy.typing import NDArray
 
 from lambent_relight.baked.material_maps import MaterialMaps, material_maps
@@ -11,8 +13,6 @@ from lambent_relight.baked.mesh import MAX_MESH_BYTES, MESH_PATH, AtlasMesh, mes
 from lambent_relight.baked.raster import Fragments, interpolate, nearest_texel, rasterise_uv
 from lambent_relight.baked.transport import Transport, read_transport
 from lambent_relight.bundle.bundle import Bundle
-from lambent_relight.directions import normalise
-from lambent_relight.errors import BundleError, UnsupportedQuality
 
 _LEAST_BLOCKED = 0.05
 """Share of the hemisphere that is taken to be surrounded at least, where light from there is wanted."""

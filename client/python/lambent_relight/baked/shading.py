@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from lambent_core.directions import dot
 from numpy.typing import NDArray
 
 from lambent_relight.baked import kernels as baked_kernels
@@ -30,7 +31,6 @@ from lambent_relight.baked.split_sum import split_sum
 from lambent_relight.baked.transport_lobes import open_share
 from lambent_relight.baked.view import BakedView
 from lambent_relight.brdf import DIELECTRIC_F0, MIN_ALPHA
-from lambent_relight.directions import dot
 from lambent_relight.edits import MaterialEdit
 
 

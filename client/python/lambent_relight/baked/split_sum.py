@@ -16,10 +16,10 @@ import math
 from functools import cache
 
 import numpy as np
+from lambent_core.directions import Array
 from numpy.typing import NDArray
 
 from lambent_relight.brdf import MIN_ALPHA
-from lambent_relight.directions import Array
 
 TABLE_SIDE = 32
 """Entries along the cosine and along perceptual roughness."""

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from lambent_core.directions import dot
 from numpy.typing import NDArray
 
 from lambent_relight.baked.scene import BakedScene, texel_positions
 from lambent_relight.baked.transport import coarse_blocks
-from lambent_relight.directions import dot
 
 NEAR = 2.5
 """A block takes part up to this distance from a point, in sides of a block."""

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
+from lambent_core.errors import BundleError
 from lambent_proto.v1 import bundle_pb2
 from numpy.typing import NDArray
 
 from lambent_relight.bundle.bundle import Bundle
-from lambent_relight.errors import BundleError
 
 Planes = NDArray[np.float32]
 

@@ -9,13 +9,13 @@ light, so a new light on a known view costs little.
 from dataclasses import dataclass, fields
 
 import numpy as np
+from lambent_core.directions import dot, normalise
 from numpy.typing import NDArray
 
 from lambent_relight.baked.raster import rasterise
 from lambent_relight.baked.scene import BakedScene, SurfacePlaces
 from lambent_relight.baked.texel_blend import blended_texels, weighted_sums
 from lambent_relight.cameras import Camera
-from lambent_relight.directions import dot, normalise
 
 LEAST_COSINE = np.float32(0.9)
 """Normals of a pixel that differ by more are shaded one by one."""

@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
-from lambent_relight.errors import SettingError
-from lambent_relight.files import file_sha256, whole_file
+from lambent_core.errors import SettingError
+from lambent_core.files import file_sha256, whole_file
 
 NAME = "pictures.jsonl"
 _LOCK = ".lambent-batch.lock"

@@ -4,14 +4,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-from lambent_proto.pictures import WHOLE, RenderCameras, RenderSettings
+from lambent_core.errors import CameraError
+from lambent_core.pictures import WHOLE, RenderCameras, RenderSettings
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from lambent_relight.aovs import PASSES
 from lambent_relight.cameras import parse_camera_list
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.input import EnvironmentInput
-from lambent_relight.errors import CameraError
 
 SCHEMA = "lambent-batch/1"
 """The only value of `schema` that a reader accepts."""

@@ -11,7 +11,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from lambent_proto.pictures import safe_name
+from lambent_core.errors import CameraError, RelightError, SettingError
+from lambent_core.files import file_sha256
+from lambent_core.pictures import safe_name
 
 from lambent_relight.batch.manifest import (
     LINEAR,
@@ -25,8 +27,6 @@ from lambent_relight.batch.manifest import (
 )
 from lambent_relight.bundle.bundle import Bundle, load_bundle
 from lambent_relight.cameras import Camera, load_cameras
-from lambent_relight.errors import CameraError, RelightError, SettingError
-from lambent_relight.files import file_sha256
 from lambent_relight.object_cameras import around_object
 
 _SHEETS = re.compile(r"contact_sheet(_\d+)?")

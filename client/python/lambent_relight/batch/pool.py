@@ -13,12 +13,12 @@ from typing import Any
 
 from lambent_compute.group_signals import held_back, ignore
 from lambent_compute.threads import available_threads
+from lambent_core.errors import RelightError
 
 from lambent_relight.batch.journal import Record
 from lambent_relight.batch.manifest import Files
 from lambent_relight.batch.plan import Failure, Row
 from lambent_relight.batch.studio import KEPT_RAYS, Studio
-from lambent_relight.errors import RelightError
 
 Task = tuple[Row, tuple[str, ...]]
 """A picture, and the suffixes of the files to write of it."""

@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from lambent_proto.pictures import (
+from lambent_core.errors import RelightError
+from lambent_core.pictures import (
     Angle,
     Name,
     RenderAsset,
@@ -21,7 +22,6 @@ from lambent_relight.aovs import PASSES
 from lambent_relight.batch.manifest import Asset, Cameras, File, Files, Light, Manifest, Quality
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.input import EnvironmentInput
-from lambent_relight.errors import RelightError
 from lambent_relight.validation import Problem, problems_of, shown
 
 Kind = TypeVar("Kind", bound=Wanted)

@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from lambent_core.files import whole_file
+
 from lambent_relight.batch.journal import Journal, MadeFile, Record
 from lambent_relight.batch.manifest import LINEAR, Files, place
 from lambent_relight.batch.plan import Failure, Plan, Row
 from lambent_relight.batch.pool import Progress, Task, run_tasks
 from lambent_relight.batch.studio import remove_partials
-from lambent_relight.files import whole_file
 from lambent_relight.settings import BACKGROUNDS
 
 State = Literal["made", "kept", "copied", "failed"]

@@ -4,13 +4,13 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from lambent_core.colour import srgb_from_linear
+from lambent_core.errors import RelightError
 from PIL import Image
 
 from lambent_relight.batch.manifest import Light, Manifest
 from lambent_relight.environment.input import EnvironmentInput, open_environment
 from lambent_relight.environment.probes import GREY
-from lambent_relight.errors import RelightError
-from lambent_relight.images import srgb_from_linear
 from lambent_relight.probe_overlay import LightProbes
 
 SIDE = 32

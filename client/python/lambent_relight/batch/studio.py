@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from lambent_core.errors import BundleError, EnvironmentFileError
+from lambent_core.files import file_sha256, whole_file
 from numpy.typing import NDArray
 
 from lambent_relight.aovs import OBJECT_NAME
@@ -17,8 +19,6 @@ from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.camera_matrices import camera_attributes
 from lambent_relight.environment.input import OpenedEnvironment, open_environment
 from lambent_relight.environment.maps import Environment
-from lambent_relight.errors import BundleError, EnvironmentFileError
-from lambent_relight.files import file_sha256, whole_file
 from lambent_relight.images import encode_png, read_picture_exr, write_picture_exr, write_png
 from lambent_relight.picture import Image, RelitPicture
 from lambent_relight.renderer import Renderer, with_background

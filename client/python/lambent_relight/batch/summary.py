@@ -6,12 +6,12 @@ from functools import partial as given
 from pathlib import Path
 from types import MappingProxyType
 
+from lambent_core.files import whole_file
 from PIL import Image, ImageDraw, ImageFont
 
 from lambent_relight.batch.plan import Failure
 from lambent_relight.batch.run import Result
 from lambent_relight.batch.tiles import TILE, thumbnail
-from lambent_relight.files import whole_file
 
 TABLE = "pictures.csv"
 SHEET = "contact_sheet.png"

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from lambent_core.files import whole_file
 from numpy.typing import NDArray
 from PIL import Image
 
 from lambent_relight.batch.run import Result
-from lambent_relight.files import whole_file
 
 NAME = "tiles.zip"
 TILE = 128
@@ -35,8 +35,7 @@ def thumbnail(folder: Path, result: Result, side: int = TILE) -> Image.Image | N
 def _from_exr(path: Path) -> Image.Image:
     """Return the beauty pass of a linear EXR, whose colours are multiplied by alpha, over white."""
     import OpenEXR
-
-    from lambent_relight.images import srgb_from_linear
+    from lambent_core.colour import srgb_from_linear
 
     channels = OpenEXR.File(str(path), separate_channels=True).parts[0].channels
     planes: list[NDArray[np.float32]] = [channels[name].pixels.astype(np.float32) for name in "RGBA"]

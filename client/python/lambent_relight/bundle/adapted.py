@@ -10,12 +10,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from lambent_core.errors import BundleError
 
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.onnx_check import metadata
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import Environment
-from lambent_relight.errors import BundleError
 
 METADATA_KEY = "lambent.adapted"
 _LEAST_DEGREES = 0.01

@@ -14,7 +14,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Protocol
 
-from lambent_relight.errors import BundleError
+from lambent_core.errors import BundleError
 
 MAX_FILES = 4096
 MAX_FILE_BYTES = 4 << 30

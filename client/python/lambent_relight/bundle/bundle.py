@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 
 from google.protobuf import json_format
+from lambent_core.errors import BundleError
 from lambent_proto import BUNDLE_VERSION
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 
@@ -21,7 +22,6 @@ from lambent_relight.bundle.onnx_check import check_onnx
 from lambent_relight.bundle.uncertainty import UncertaintyGrid, read_uncertainty
 from lambent_relight.cameras import Camera, parse_cameras
 from lambent_relight.environment.maps import Environment, load_environment
-from lambent_relight.errors import BundleError
 
 _MAX_MANIFEST_BYTES = 16 << 20
 _MAX_GRAPH_BYTES = 64 << 20

@@ -11,11 +11,11 @@ from typing import Any, NoReturn, Protocol
 import numpy as np
 import onnxruntime
 from lambent_compute.threads import available_threads
+from lambent_core.errors import BundleError, UnsupportedQuality
 from numpy.typing import NDArray
 
 from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
 from lambent_relight.bundle.onnx_check import check_onnx, keep_outputs
-from lambent_relight.errors import BundleError, UnsupportedQuality
 
 Rows = NDArray[np.float32]
 

@@ -8,9 +8,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from google.protobuf.message import DecodeError, Message
+from lambent_core.errors import BundleError
 from lambent_proto.v1 import onnx_pb2
-
-from lambent_relight.errors import BundleError
 
 _EXTERNAL = 1  # data_location of a tensor whose values lie in another file
 

@@ -8,9 +8,8 @@ import io
 from dataclasses import dataclass
 
 import numpy as np
+from lambent_core.errors import BundleError
 from numpy.typing import NDArray
-
-from lambent_relight.errors import BundleError
 
 PATH = "uncertainty/materials.npy"
 CHANNELS = ("albedo", "albedo_from_light", "metalness", "perceptual_roughness", "views")

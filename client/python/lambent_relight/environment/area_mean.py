@@ -3,9 +3,8 @@
 import math
 
 import numpy as np
+from lambent_core.directions import Array
 from numpy.typing import NDArray
-
-from lambent_relight.directions import Array
 
 
 def area_mean(image: Array, height: int, width: int) -> NDArray[np.float64]:

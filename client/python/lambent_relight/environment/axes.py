@@ -16,9 +16,9 @@ Source: docs/reference/conventions.md (environment maps).
 from dataclasses import replace
 
 import numpy as np
+from lambent_core.errors import EnvironmentFileError
 
 from lambent_relight.environment.maps import Environment
-from lambent_relight.errors import EnvironmentFileError
 
 QUARTER_TURNS = {"blender": 0, "threejs": 0, "mitsuba": -1, "skylibs": 1}
 """Quarter turns about +z that make a map of each convention ours."""

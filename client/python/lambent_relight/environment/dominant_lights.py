@@ -13,11 +13,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from lambent_core.directions import Array, directions_of_uv, pixel_solid_angles, rotate_about_z
+from lambent_core.errors import SettingError
 from numpy.typing import NDArray
 
-from lambent_relight.directions import Array, directions_of_uv, pixel_solid_angles, rotate_about_z
 from lambent_relight.environment.maps import Environment
-from lambent_relight.errors import SettingError
 
 _MAX_TRIALS = 16
 MAX_LIGHTS = 8

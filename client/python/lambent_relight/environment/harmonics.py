@@ -8,11 +8,11 @@ coefficients are [bands^2, channels]. Source: docs/reference/conventions.md (sph
 import math
 
 import numpy as np
+from lambent_core.directions import Array
+from lambent_core.errors import SettingError
 from numpy.typing import NDArray
 
-from lambent_relight.directions import Array
 from lambent_relight.environment.maps import Environment
-from lambent_relight.errors import SettingError
 
 MAX_BANDS = 16
 """Largest number of bands; quadrature is tested up to here."""

@@ -10,10 +10,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from lambent_core.directions import Array
+from lambent_core.errors import EnvironmentFileError
 from numpy.typing import NDArray
-
-from lambent_relight.directions import Array
-from lambent_relight.errors import EnvironmentFileError
 
 LATLONG, AUTO = "latlong", "auto"
 LAYOUTS = {

@@ -10,14 +10,14 @@ direction. Source: paper Eq. 5 with supplement 2.7's split into a diffuse and a 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
-
-from lambent_relight.directions import (
+from lambent_core.directions import (
     Array,
     dot,
     pixel_directions,
     pixel_solid_angles,
 )
+from numpy.typing import NDArray
+
 from lambent_relight.environment.maps import Environment
 
 COSINE_LOBE = 0

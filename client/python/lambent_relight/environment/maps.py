@@ -1,6 +1,6 @@
 """Environment maps: infinitely distant light as a latitude-longitude picture.
 
-Directions, rows and columns as in `lambent_relight.directions`. Radiance between pixel centres is
+Directions, rows and columns as in `lambent_core.directions`. Radiance between pixel centres is
 bilinear, wrapping around in azimuth and held constant above the first and below the last row.
 """
 
@@ -8,11 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from lambent_core.directions import Array, rotate_about_z, uv_of_directions
+from lambent_core.errors import EnvironmentFileError
+from lambent_core.exr import read_exr_rgb, write_exr
+from lambent_core.picture_rows import PictureRows, block_means
+from lambent_core.rgbe import read_rgbe
 from numpy.typing import NDArray
 
 from lambent_relight.arguments import file_path, number, refusal
-from lambent_relight.directions import Array, rotate_about_z, uv_of_directions
-from lambent_relight.environment.exr import read_exr_rgb, write_exr
 from lambent_relight.environment.layouts import (
     AUTO,
     LATLONG,
@@ -21,9 +24,6 @@ from lambent_relight.environment.layouts import (
     decided_layout,
     to_latlong,
 )
-from lambent_relight.environment.rgbe import read_rgbe
-from lambent_relight.errors import EnvironmentFileError
-from lambent_relight.picture_rows import PictureRows, block_means
 
 MAX_PIXELS = 1 << 25
 """Largest map kept at full size by default, 8192 x 4096; larger files are reduced while they are read."""

@@ -20,13 +20,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from lambent_core.directions import Array, pixel_directions, pixel_solid_angles
+from lambent_core.errors import SettingError
 from numpy.typing import NDArray
 
-from lambent_relight.directions import Array, pixel_directions, pixel_solid_angles
 from lambent_relight.environment.area_mean import area_mean
 from lambent_relight.environment.level_lookup import interpolate_levels
 from lambent_relight.environment.maps import Environment
-from lambent_relight.errors import SettingError
 
 NUM_LEVELS = 9
 """Levels of a bundle's reader: roughness 0, 1/8, ... 1."""

@@ -10,12 +10,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from lambent_core.directions import Array, dot, pixel_directions
+from lambent_core.errors import SettingError
 from numpy.typing import NDArray
 
-from lambent_relight.directions import Array, dot, pixel_directions
 from lambent_relight.environment.maps import Environment
 from lambent_relight.environment.prefilter import irradiance
-from lambent_relight.errors import SettingError
 
 GREY = 0.18
 """Albedo of the grey ball."""

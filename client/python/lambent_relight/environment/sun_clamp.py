@@ -4,11 +4,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from lambent_core.directions import pixel_solid_angles
+from lambent_core.errors import SettingError
 
-from lambent_relight.directions import pixel_solid_angles
 from lambent_relight.environment.dominant_lights import energy
 from lambent_relight.environment.maps import Environment
-from lambent_relight.errors import SettingError
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ import json
 import math
 
 import numpy as np
+from lambent_core.errors import BundleError
 
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import Rows
 from lambent_relight.bundle.onnx_check import metadata
-from lambent_relight.errors import BundleError
 from lambent_relight.fused.grids import Grid
 from lambent_relight.fused.networks import Layer
 

@@ -15,10 +15,10 @@ Glasserman, Monte Carlo Methods in Financial Engineering, 4.1; docs/decisions/00
 from dataclasses import dataclass, replace
 
 import numpy as np
+from lambent_core.directions import pixel_directions, rotate_about_z
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from lambent_relight.directions import pixel_directions, rotate_about_z
 from lambent_relight.environment.maps import Environment
 
 _ROWS = 192

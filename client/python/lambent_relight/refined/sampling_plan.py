@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from lambent_proto.pictures import RenderSettings
+from lambent_core.pictures import RenderSettings
 from numpy.typing import NDArray
 
 from lambent_relight.refined.known_light import KnownLight

@@ -9,10 +9,10 @@ balance heuristic; supplement 2.7 (diffuse and specular halves).
 from dataclasses import dataclass
 
 import numpy as np
+from lambent_core.directions import Array, dot
 from numpy.typing import NDArray
 
 from lambent_relight.brdf import DIELECTRIC_F0, Materials
-from lambent_relight.directions import Array, dot
 from lambent_relight.environment.light_sampling import COSINE_LOBE, LightSampler, lobe_of_alpha
 
 DIFFUSE_LIGHT_SHARE = 0.9

@@ -50,7 +50,7 @@ def _shadowing(cosine, alpha):
 
 @inlined(fastmath=False)
 def _frame(nx, ny, nz):
-    """Return the tangent and the bitangent of `lambent_relight.directions.frame_axes`."""
+    """Return the tangent and the bitangent of `lambent_core.directions.frame_axes`."""
     if abs(nz) >= 0.9:
         tx, ty, tz = nz, 0.0, -nx
     else:

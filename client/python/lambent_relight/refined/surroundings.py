@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from lambent_core.directions import normalise
 from numpy.typing import NDArray
 
 from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.bundle.graphs import SurfaceCaches
-from lambent_relight.directions import normalise
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.refined.scattering import SurfacePoints
 

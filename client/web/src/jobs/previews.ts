@@ -8,7 +8,7 @@ import { named, texts } from "../words/words.js";
 
 /** Begins the names of pictures between which the camera has moved on by a step. */
 const turning = "turning_";
-/** A turn in steps of the worker's (worker/lambent_worker/run/live_preview.py). */
+/** A turn in steps of the worker's (worker/lambent_run/run/live_preview.py). */
 const turnSteps = 24;
 const frameMs = 160;
 

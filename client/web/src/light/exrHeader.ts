@@ -1,4 +1,4 @@
-/** Reads and checks the header of an OpenEXR file, like `lambent_relight.environment.exr`. */
+/** Reads and checks the header of an OpenEXR file, like `lambent_core.exr`. */
 
 import type { EnvironmentMap } from "../engine/environmentMap.js";
 import { MapFault, tooLarge } from "./fault.js";

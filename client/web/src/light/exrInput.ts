@@ -1,5 +1,5 @@
 /**
- * OpenEXR maps, with the checks of `lambent_relight.environment.exr`: whole lines of half floats, as most programs write them,
+ * OpenEXR maps, with the checks of `lambent_core.exr`: whole lines of half floats, as most programs write them,
  * are read here with the browser's own decompression; everything else is decoded by three.
  */
 

@@ -1,6 +1,6 @@
 /**
  * Primaries that a file states, and the way from its colours to linear Rec. 709, by the rules of
- * `lambent_relight.environment.primaries`: the white is adapted to D65 by the Bradford transform.
+ * `lambent_core.primaries`: the white is adapted to D65 by the Bradford transform.
  */
 
 /** Three rows of three numbers. */

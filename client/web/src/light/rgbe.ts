@@ -1,5 +1,5 @@
 /**
- * Radiance pictures (.hdr), read by the rules of `lambent_relight.environment.rgbe`.
+ * Radiance pictures (.hdr), read by the rules of `lambent_core.rgbe`.
  *
  * A pixel (r, g, b, e) means (r, g, b) 2^(e - 136); e = 0 is black.
  */

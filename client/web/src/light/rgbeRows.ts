@@ -1,5 +1,5 @@
 /**
- * Lines of Radiance pictures, by the rules of `lambent_relight.environment.rgbe_rows`: each line is decided for itself;
+ * Lines of Radiance pictures, by the rules of `lambent_core.rgbe_rows`: each line is decided for itself;
  * one that begins with (2, 2, its length) is coded. Flat pixels can begin like that, too: where a file cannot be read so,
  * all of it is taken as flat, if it then ends where the pixels do.
  */

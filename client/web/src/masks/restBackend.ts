@@ -6,7 +6,7 @@ import type { Applied, Capture, Finished, MaskBackend } from "./backend.js";
 import type { CorrectionList } from "./corrections.js";
 import { named, texts } from "../words/words.js";
 
-/** `preparation/frames.json` of a job: see `lambent_worker.masks.preview`. */
+/** `preparation/frames.json` of a job: see `lambent_capture.masks.preview`. */
 export type Preparation = {
   readonly version: number;
   /** Whether corrections are possible: masks that the capture brings are shown only. */

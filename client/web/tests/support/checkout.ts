@@ -11,7 +11,7 @@ export const python = process.env.PYTHON ?? join(root, ".venv/bin/python");
 const folders = {
   lambent_pages: "client/python",
   lambent_server: "server",
-  lambent_worker: "worker",
+  lambent_run: "worker",
   lambent_proto: "proto",
 } as const;
 

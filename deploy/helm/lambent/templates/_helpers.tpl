@@ -44,11 +44,8 @@ capabilities: {drop: [ALL]}
 {{- if and .Values.ingress.enabled (not .Values.ingress.host) }}
 {{- fail "ingress.enabled needs ingress.host" }}
 {{- end }}
-{{- if and .Values.monitoring.serviceMonitor.enabled (not .Values.monitoring.serviceMonitor.keySecret) }}
-{{- fail "monitoring.serviceMonitor.enabled needs monitoring.serviceMonitor.keySecret: /metrics wants a key with the scope read" }}
-{{- end }}
-{{- if and .Values.ray.enabled (not .Values.ray.authSecret) }}
-{{- fail "ray.enabled needs ray.authSecret: without a token, whoever reaches Ray can run programs on it" }}
+{{- if and .Values.ray.address (not .Values.ray.authSecret) }}
+{{- fail "ray.address needs ray.authSecret: without a token, whoever reaches Ray can run programs on it" }}
 {{- end }}
 {{- if and .Values.oidc.issuer (not .Values.oidc.clientId) }}
 {{- fail "oidc.issuer needs oidc.clientId" }}
@@ -127,26 +124,15 @@ capabilities: {drop: [ALL]}
   value: /run/secrets/oidc/client-secret
 {{- end }}
 {{- end }}
-{{- if and $values.ray.enabled .link }}
+{{- if and $values.ray.address .link }}
 - name: LAMBENT_EXECUTOR
   value: ray
 - name: LAMBENT_RAY_ADDRESS
-  value: {{ default (printf "ray://%s-ray-head-svc:10001" (include "lambent.name" .root)) $values.ray.address | quote }}
+  value: {{ $values.ray.address | quote }}
 - name: LAMBENT_RAY_TOKEN_FILE
   value: /run/secrets/ray/token
 - name: LAMBENT_RAY_RUN_CPUS
   value: {{ $values.ray.runCpus | quote }}
-{{- if $values.ray.autoscaling }}
-# The autoscaler starts a node for a run that waits.
-- name: LAMBENT_RAY_AHEAD
-  value: "1"
-{{- end }}
-{{- if not $values.ray.address }}
-{{- $most := 0 }}
-{{- range $values.ray.groups }}{{ $most = max $most .gpus }}{{ end }}
-- name: LAMBENT_RAY_NODE_GPUS
-  value: {{ $most | quote }}
-{{- end }}
 {{- end }}
 {{- range $name, $value := $values.server.environment }}
 - name: {{ $name }}
@@ -169,7 +155,7 @@ capabilities: {drop: [ALL]}
 {{- if and .link $values.oidc.issuer $values.oidc.existingSecret }}
 - {name: oidc, mountPath: /run/secrets/oidc, readOnly: true}
 {{- end }}
-{{- if and .link $values.ray.enabled }}
+{{- if and .link $values.ray.address }}
 - {name: ray, mountPath: /run/secrets/ray, readOnly: true}
 {{- end }}
 {{- end }}
@@ -201,7 +187,7 @@ capabilities: {drop: [ALL]}
     defaultMode: 0440
     items: [{key: {{ $values.oidc.secretKey }}, path: client-secret}]
 {{- end }}
-{{- if and .link $values.ray.enabled }}
+{{- if and .link $values.ray.address }}
 - name: ray
   secret: {secretName: {{ $values.ray.authSecret }}, defaultMode: 0440, items: [{key: auth_token, path: token}]}
 {{- end }}
@@ -218,46 +204,4 @@ livenessProbe:
   periodSeconds: 10
   timeoutSeconds: 5
   failureThreshold: 6
-{{- end }}
-
-{{- /* What pods of Ray have in common; a dict of `root`, `with` (head or a group of the values) and `token`: whether
-       the pod speaks with Kubernetes, as the autoscaler beside the head does. */ -}}
-{{- define "lambent.rayPod" -}}
-serviceAccountName: {{ include "lambent.name" .root }}
-automountServiceAccountToken: {{ .token }}
-enableServiceLinks: false
-securityContext:
-  {{- include "lambent.podSecurity" .root | nindent 2 }}
-{{- with .root.Values.image.pullSecrets }}
-imagePullSecrets:
-  {{- toYaml . | nindent 2 }}
-{{- end }}
-{{- with .with.nodeSelector }}
-nodeSelector:
-  {{- toYaml . | nindent 2 }}
-{{- end }}
-{{- with .with.tolerations }}
-tolerations:
-  {{- toYaml . | nindent 2 }}
-{{- end }}
-{{- end }}
-
-{{- define "lambent.rayContainer" -}}
-image: {{ include "lambent.image" . }}
-imagePullPolicy: {{ .Values.image.pullPolicy }}
-env:
-  - {name: RAY_AUTH_MODE, value: token}
-  - name: RAY_AUTH_TOKEN
-    valueFrom: {secretKeyRef: {name: {{ .Values.ray.authSecret }}, key: auth_token}}
-  - {name: RAY_USAGE_STATS_ENABLED, value: "0"}
-  # Compiled kernels: these pods have no /data.
-  - {name: CUDA_CACHE_PATH, value: /home/lambent/cache/cuda}
-  - {name: NUMBA_CACHE_DIR, value: /home/lambent/cache/numba}
-  - {name: TRITON_CACHE_DIR, value: /home/lambent/cache/triton}
-securityContext:
-  {{- include "lambent.containerSecurity" . | nindent 2 }}
-volumeMounts:
-  - {name: tmp, mountPath: /tmp}
-  - {name: shm, mountPath: /dev/shm}
-  - {name: home, mountPath: /home/lambent}
 {{- end }}

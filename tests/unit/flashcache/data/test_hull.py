@@ -6,10 +6,10 @@ import numpy as np
 import torch
 from flashcache.data.hull import fit_occupancy, hull_of
 from flashcache.data.ray_batches import TrainingPixels
-from flashcache.data.scene import Scene
 from flashcache.encoding.occupancy import Occupancy, OccupancyConfig
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
+from lambent_core.scene import Scene
 from support.lit_sphere import RADIUS, lit_domain, lit_sphere
 
 CONFIG = OccupancyConfig(cells=32)

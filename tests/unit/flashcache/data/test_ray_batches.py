@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 from flashcache.data.ray_batches import PixelChoice, TrainingPixels
-from flashcache.data.scene import Camera, Margins, Scene, View
 from flashcache.presets import tiny
+from lambent_core.scene import Camera, Margins, Scene, View
 from support.lit_sphere import lit_sphere
 
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 from flashcache.data.ray_batches import TrainingPixels
-from flashcache.data.scene import Scene, View
 from flashcache.losses.environment import tint_prior
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
 from flashcache.training.stage_two import StageTwo
+from lambent_core.scene import Scene, View
 from support.lit_sphere import lit_domain, lit_sphere
 
 STEPS = 20

@@ -99,7 +99,7 @@ def test_a_package_that_is_missing_only_when_called_names_the_extra_too(monkeypa
 
 def test_a_missing_module_of_our_own_is_a_fault_and_not_an_extra(monkeypatch):
     def train() -> None:
-        import lambent_worker.module_that_is_not_there  # noqa: F401
+        import lambent_run.module_that_is_not_there  # noqa: F401
 
     monkeypatch.setattr(EntryPoint, "load", lambda self: train)
     with pytest.raises(ModuleNotFoundError):

@@ -6,11 +6,11 @@ import shutil
 import numpy as np
 import OpenEXR
 import pytest
+from lambent_core.errors import SettingError
 from lambent_relight import Renderer, cameras_json, load_bundle, turntable, write_environment
 from lambent_relight.batch import plan as plan_module
 from lambent_relight.batch.plan import make_plan
 from lambent_relight.batch.reading import read_manifest
-from lambent_relight.errors import SettingError
 from lambent_relight.object_cameras import around_object
 from PIL import Image
 from support.small_batch import HEAD, SMALL, batch, pixels, rgb_of, states, table, write_inputs

@@ -5,7 +5,7 @@ import typer
 from lambent.cli import relight, turntable
 from lambent.cli.setting_options import takes_settings
 from lambent.errors import UsageProblemError
-from lambent_proto.pictures import RenderSettings
+from lambent_core.pictures import RenderSettings
 
 
 def options(function):

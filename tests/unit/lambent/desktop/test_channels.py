@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from lambent.desktop.channels import channel_names, graded, object_positions, shown_channel
+from lambent_core.colour import srgb_from_linear
 from lambent_relight import RelitPicture
 from lambent_relight.bundle.uncertainty import UncertaintyGrid
-from lambent_relight.images import srgb_from_linear
 
 
 def picture(**images):

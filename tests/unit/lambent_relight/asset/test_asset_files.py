@@ -9,6 +9,11 @@ from xml.dom import minidom
 import numpy as np
 import pytest
 import trimesh
+from lambent_asset.bundle.glb import write_glb
+from lambent_asset.mesh.atlas import tangents
+from lambent_core.colour import linear_from_srgb
+from lambent_core.directions import uv_of_directions
+from lambent_core.errors import ExportError
 from lambent_relight import BundleError, load_bundle
 from lambent_relight.asset.draco import DRACO, NORMAL_BITS, POSITION_BITS, glb_with_draco
 from lambent_relight.asset.glb import WEBP, glb_with_textures
@@ -21,11 +26,6 @@ from lambent_relight.asset.textured_mesh import (
 )
 from lambent_relight.asset.write import write_formats
 from lambent_relight.baked.mesh import glb_chunks, mesh_from_glb
-from lambent_relight.directions import uv_of_directions
-from lambent_relight.errors import ExportError
-from lambent_relight.images import linear_from_srgb
-from lambent_worker.bundle.atlas import tangents
-from lambent_worker.bundle.glb import write_glb
 from PIL import Image
 from support.asset_bundle import painted, write_asset_bundle
 from support.atlas_box import atlas_box, coloured

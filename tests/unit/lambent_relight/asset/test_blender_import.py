@@ -8,9 +8,9 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from lambent_core.directions import rotate_about_z, uv_of_directions
 from lambent_relight.asset import blender_import
 from lambent_relight.cameras import cameras_json, turntable
-from lambent_relight.directions import rotate_about_z, uv_of_directions
 
 
 @pytest.mark.parametrize("rotate_deg", [0.0, 90.0, -35.0])

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lambent_asset.bundle.glb import write_glb
+from lambent_core.errors import ExportError
 from lambent_relight import load_bundle
 from lambent_relight.asset import ktx2
 from lambent_relight.asset.glb import glb_with_textures
@@ -12,8 +14,6 @@ from lambent_relight.asset.ktx2 import KTX2, ktx2_of
 from lambent_relight.asset.textured_mesh import png_of, textured_mesh_from_glb
 from lambent_relight.asset.write import write_formats
 from lambent_relight.baked.mesh import glb_chunks
-from lambent_relight.errors import ExportError
-from lambent_worker.bundle.glb import write_glb
 from support.asset_bundle import write_asset_bundle
 from support.atlas_box import atlas_box, coloured
 

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from lambent_asset.bundle.glb import write_glb
 from lambent_relight.baked.light import coarse_bounce, lit_texels, prepare_light, texel_bounce
 from lambent_relight.baked.material_maps import material_maps
 from lambent_relight.baked.mesh import AtlasMesh, mesh_from_glb
@@ -13,7 +14,6 @@ from lambent_relight.baked.scene import SurfacePlaces, baked_scene
 from lambent_relight.baked.transport import Transport, coarse_blocks
 from lambent_relight.cameras import turntable
 from lambent_relight.environment.maps import environment_from_array
-from lambent_worker.bundle.glb import write_glb
 from support.atlas_box import atlas_box, coloured
 from support.quad_surface import box_of_quads, surface_of
 

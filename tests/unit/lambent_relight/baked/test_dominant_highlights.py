@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from lambent_core.directions import normalise, pixel_directions, pixel_solid_angles
 from lambent_relight import environment_from_array
 from lambent_relight.baked.dominant_highlights import WIDE_ALPHA, glints, lobe_scale
 from lambent_relight.brdf import brdf_cos, materials_from_roughness
-from lambent_relight.directions import normalise, pixel_directions, pixel_solid_angles
 from lambent_relight.environment.prefilter import prefilter
 
 COUNT = 200

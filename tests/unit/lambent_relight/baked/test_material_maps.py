@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lambent_asset.bundle.glb import write_glb
 from lambent_relight.baked.material_maps import material_maps
-from lambent_worker.bundle.glb import write_glb
 from support.atlas_box import FACE_COLOURS, atlas_box, coloured
 from support.texture_lookup import sample_plane
 

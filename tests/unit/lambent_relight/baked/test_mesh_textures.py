@@ -5,10 +5,10 @@ import zlib
 
 import numpy as np
 import pytest
+from lambent_asset.bundle.glb import write_glb
 from lambent_relight import BundleError
 from lambent_relight.baked.mesh import glb_chunks, mesh_from_glb
 from lambent_relight.baked.mesh_textures import material_textures
-from lambent_worker.bundle.glb import write_glb
 from support.atlas_box import atlas_box, coloured
 from support.spoilt_glb import spoilt_glb, with_document
 

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lambent_asset.bundle.glb import write_glb
+from lambent_asset.textures.photo_albedo import fine_texels
 from lambent_relight.baked.material_maps import material_maps
 from lambent_relight.baked.raster import interpolate, rasterise
 from lambent_relight.baked.surface_detail import SurfaceDetail
 from lambent_relight.bundle.graphs import PrimaryHits
 from lambent_relight.cameras import turntable
-from lambent_worker.bundle.glb import write_glb
-from lambent_worker.bundle.photo_albedo import fine_texels
 from support.atlas_box import atlas_box, coloured
 from support.printed_box import open_scene, stripes
 

@@ -4,16 +4,16 @@ import csv
 
 import numpy as np
 import pytest
+from lambent_core.colour import srgb_from_linear
+from lambent_core.exr import write_exr
 from lambent_relight.batch.journal import MadeFile, Record
 from lambent_relight.batch.plan import Failure
 from lambent_relight.batch.reading import read_manifest
 from lambent_relight.batch.run import Result
 from lambent_relight.batch.sheet_lights import SIDE, light_pictures
 from lambent_relight.batch.summary import COLUMNS, MARGIN, TILE, thumbnail, write_sheets, write_table
-from lambent_relight.environment.exr import write_exr
 from lambent_relight.environment.maps import write_environment
 from lambent_relight.environment.probes import GREY
-from lambent_relight.images import srgb_from_linear
 from PIL import Image
 
 RED = (220, 30, 20)

@@ -9,6 +9,7 @@ import pytest
 import torch
 from flashcache.export.reference import GbufferRule
 from flashcache.training.light_bake import adaptable
+from lambent_asset.light_bake.adapted_bundle import write_adapted
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight import MaterialEdit, Renderer, SettingError, environment_from_array, load_bundle
 from lambent_relight.brdf import Materials
@@ -19,7 +20,6 @@ from lambent_relight.fused.reader import FusedCaches
 from lambent_relight.refined.scattering import SurfacePoints
 from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
 from lambent_relight.refined.surroundings import CacheSurroundings
-from lambent_worker.light_bake.adapted_bundle import write_adapted
 from support.network_bundle import write_network_bundle
 from support.sphere_model import sphere_model
 

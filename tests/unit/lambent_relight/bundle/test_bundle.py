@@ -9,11 +9,11 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
+from lambent_core.errors import BundleError
 from lambent_relight.bundle.archive import check_path
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.bundle.graphs import OnnxCaches
 from lambent_relight.bundle.onnx_check import check_onnx, keep_outputs, metadata
-from lambent_relight.errors import BundleError
 from support.analytic_bundle import write_manifest
 from support.refused_bundle import manifest_in, refusal, store, write_ball, zipped
 

@@ -4,9 +4,9 @@ import io
 
 import numpy as np
 import pytest
+from lambent_core.errors import BundleError
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.bundle.uncertainty import CHANNELS, PATH, UncertaintyGrid, read_uncertainty
-from lambent_relight.errors import BundleError
 from support.analytic_bundle import manifest_of, write_analytic_bundle, write_manifest
 from support.analytic_scene import AnalyticScene, Sphere
 

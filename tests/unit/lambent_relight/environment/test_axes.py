@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from lambent_relight.directions import normalise, uv_of_directions
+from lambent_core.directions import normalise, uv_of_directions
+from lambent_core.errors import EnvironmentFileError
 from lambent_relight.environment.axes import QUARTER_TURNS, from_axes
 from lambent_relight.environment.maps import environment_from_array
-from lambent_relight.errors import EnvironmentFileError
 
 DIRECTIONS = normalise(np.random.default_rng(0).normal(size=(400, 3)))
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lambent_relight.directions import normalise, pixel_directions
+from lambent_core.directions import normalise, pixel_directions
+from lambent_core.errors import SettingError
 from lambent_relight.environment.dominant_lights import energy, split
 from lambent_relight.environment.maps import environment_from_array
-from lambent_relight.errors import SettingError
 
 
 def sky_with(suns, height=64, width=128):

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from lambent_relight.directions import normalise, pixel_directions, pixel_solid_angles, rotate_about_z
+from lambent_core.directions import normalise, pixel_directions, pixel_solid_angles, rotate_about_z
+from lambent_core.errors import SettingError
 from lambent_relight.environment.harmonics import basis, cosine_factors, project, rotate_z
 from lambent_relight.environment.maps import environment_from_array
-from lambent_relight.errors import SettingError
 
 BANDS = 7
 

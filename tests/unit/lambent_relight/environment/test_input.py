@@ -3,10 +3,10 @@
 import numpy as np
 import OpenEXR
 import pytest
-from lambent_relight.directions import normalise, pixel_solid_angles
+from lambent_core.directions import normalise, pixel_solid_angles
+from lambent_core.errors import EnvironmentFileError
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import environment_from_array, load_environment, write_environment
-from lambent_relight.errors import EnvironmentFileError
 from support.statistics import assert_mean
 
 

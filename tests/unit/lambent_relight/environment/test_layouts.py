@@ -4,13 +4,13 @@ import json
 
 import numpy as np
 import pytest
-from lambent_relight.directions import normalise, pixel_solid_angles
+from lambent_core.directions import normalise, pixel_solid_angles
+from lambent_core.errors import EnvironmentFileError
 from lambent_relight.environment import layouts
 from lambent_relight.environment.input import EnvironmentInput, open_environment
 from lambent_relight.environment.layouts import LAYOUTS, layout_of_size, to_latlong
 from lambent_relight.environment.maps import environment_from_array, load_environment, write_environment
 from lambent_relight.environment.probes import chrome_ball
-from lambent_relight.errors import EnvironmentFileError
 from support import environment_layouts as made
 
 INDEX = json.loads((made.FOLDER / "index.json").read_text(encoding="utf-8"))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from lambent_relight.directions import (
+from lambent_core.directions import (
     directions_of_uv,
     normalise,
     pixel_directions,
@@ -16,10 +16,10 @@ from lambent_relight.directions import (
     rotate_about_z,
     uv_of_directions,
 )
-from lambent_relight.environment.exr import write_exr
+from lambent_core.errors import EnvironmentFileError
+from lambent_core.exr import write_exr
 from lambent_relight.environment.light_sampling import LOBE_ALPHAS, LightSampler, lobe_of_alpha
 from lambent_relight.environment.maps import environment_from_array, load_environment, write_environment
-from lambent_relight.errors import EnvironmentFileError
 from support.statistics import assert_mean
 
 GOLDEN = json.loads(

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from lambent_core.directions import normalise, pixel_directions, pixel_solid_angles
+from lambent_core.errors import SettingError
 from lambent_relight.brdf import ggx_density
-from lambent_relight.directions import normalise, pixel_directions, pixel_solid_angles
 from lambent_relight.environment.area_mean import area_mean
 from lambent_relight.environment.harmonics import basis, cosine_factors, project
 from lambent_relight.environment.maps import environment_from_array
 from lambent_relight.environment.prefilter import Prefiltered, irradiance, level_width, prefilter, zonal_mean
-from lambent_relight.errors import SettingError
 
 DIRECTIONS = normalise(np.random.default_rng(1).normal(size=(300, 3)))
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from lambent_relight.directions import normalise, pixel_directions
+from lambent_core.directions import normalise, pixel_directions
+from lambent_core.errors import SettingError
 from lambent_relight.environment.maps import environment_from_array
 from lambent_relight.environment.probes import GREY, chrome_ball, grey_ball, upright_map
-from lambent_relight.errors import SettingError
 
 
 def lamp(direction, width=0.97):

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from lambent_relight.directions import pixel_solid_angles
+from lambent_core.directions import pixel_solid_angles
+from lambent_core.errors import SettingError
 from lambent_relight.environment.maps import environment_from_array
 from lambent_relight.environment.sun_clamp import clamp_sun
-from lambent_relight.errors import SettingError
 
 
 def sunny():

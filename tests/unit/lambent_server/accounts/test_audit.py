@@ -15,7 +15,7 @@ from lambent_server.accounts import audit, organisations
 from lambent_server.accounts.scopes import ALL
 from lambent_server.accounts.who import Who, operator
 from lambent_server.app import describe
-from lambent_server.clock import now
+from lambent_server.core.clock import now
 from lambent_server.database.engine import Database
 from lambent_server.database.people_schema import audit_entries, audit_heads
 from lambent_server.database.tenancy import Tenant, change, remove, rows

@@ -11,10 +11,10 @@ import pytest
 from lambent_server.accounts import audit, organisations, users
 from lambent_server.accounts.scopes import ALL
 from lambent_server.accounts.who import Who, operator
-from lambent_server.clock import now
+from lambent_server.api.problems import Problem
+from lambent_server.core.clock import now
 from lambent_server.database.engine import Database
 from lambent_server.database.tenancy import Tenant
-from lambent_server.problems import Problem
 from support.databases import without_tables
 
 WHO = Who(tenant=Tenant("one"), kind="key", id="key_1", scopes=ALL)

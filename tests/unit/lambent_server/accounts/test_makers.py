@@ -8,18 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from lambent_server import keys
-from lambent_server.accounts import makers
+from lambent_server.accounts import keys, makers
 from lambent_server.accounts.scopes import ALL
 from lambent_server.accounts.who import Who
-from lambent_server.clock import now
+from lambent_server.api.problems import Problem
+from lambent_server.core.clock import now
 from lambent_server.database.cluster_schema import login_codes
 from lambent_server.database.schema import api_keys, jobs, sessions, shares
 from lambent_server.database.service_schema import webhooks
 from lambent_server.database.tenancy import change, rows
-from lambent_server.problems import Problem
-from lambent_server.webhook_claims import claim
-from lambent_server.webhook_places import Places
+from lambent_server.webhooks.claims import claim
+from lambent_server.webhooks.places import Places
 from starlette.testclient import TestClient
 from support.api import TENANT, Api, expect, expect_problem
 from support.eve import (

@@ -5,9 +5,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from lambent_server import keys
-from lambent_server.accounts import audit, users
-from lambent_server.clock import now
+from lambent_server.accounts import audit, keys, users
+from lambent_server.core.clock import now
 from lambent_server.database.people_schema import members
 from lambent_server.database.schema import api_keys, sessions
 from lambent_server.database.tenancy import Tenant, change, rows

@@ -12,15 +12,15 @@ from lambent_server.accounts import organisations, usage
 from lambent_server.accounts.admission import Admission
 from lambent_server.accounts.scopes import ALL
 from lambent_server.accounts.who import Who
-from lambent_server.clock import now
+from lambent_server.api.problems import Problem
+from lambent_server.core.clock import now
+from lambent_server.core.settings import Settings
 from lambent_server.database.schema import blobs, jobs
 from lambent_server.database.tenancy import Tenant, change, remove, rows
 from lambent_server.http.rates import Rates
-from lambent_server.job_queries import check_quota, insert_job, require_job
-from lambent_server.job_rows import FAILED, RUNNING, move
-from lambent_server.problems import Problem
+from lambent_server.jobs.queries import check_quota, insert_job, require_job
+from lambent_server.jobs.rows import FAILED, RUNNING, move
 from lambent_server.services import Services, open_services
-from lambent_server.settings import Settings
 from support.api import TENANT, Api, expect, expect_problem, opened, sha256
 from support.databases import postgresql
 

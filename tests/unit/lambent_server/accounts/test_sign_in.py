@@ -16,10 +16,10 @@ from lambent_server.accounts.sign_in import (
     role_of,
     roles_of,
 )
-from lambent_server.clock import now
+from lambent_server.core.clock import now
+from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
 from lambent_server.database.tenancy import Tenant
-from lambent_server.settings import Settings
 
 GROUPS = "X-Groups"
 

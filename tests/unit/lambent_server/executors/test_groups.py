@@ -5,10 +5,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from lambent_server.core.settings import Settings
 from lambent_server.executors import Gone, Launch
 from lambent_server.executors.groups import Groups, GroupsMissingError
 from lambent_server.executors.local import LocalExecutor
-from lambent_server.settings import Settings
 from support.live_server import wait_until
 
 UNIFIED = Path("/sys/fs/cgroup/unified")

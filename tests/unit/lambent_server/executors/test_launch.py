@@ -4,9 +4,9 @@ import json
 from dataclasses import fields
 from pathlib import Path
 
+from lambent_run.job.connection import Identity
+from lambent_server.core.settings import Settings
 from lambent_server.executors import Launch, told_in_environment
-from lambent_server.settings import Settings
-from lambent_worker.job.connection import Identity
 
 
 def test_a_run_is_told_everything_that_it_can_be_told(tmp_path: Path):

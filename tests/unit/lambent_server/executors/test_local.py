@@ -11,9 +11,9 @@ from pathlib import Path
 
 import psutil
 import pytest
+from lambent_server.core.settings import Settings
 from lambent_server.executors import Gone, Handle, Launch, local
 from lambent_server.executors.local import LocalExecutor, host_identity, process_identity, run_environment
-from lambent_server.settings import Settings
 from support.live_server import wait_until
 
 RUN = {"job_id": "job_x", "run": 1}

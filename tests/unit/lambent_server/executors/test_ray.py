@@ -10,12 +10,12 @@ from typing import Any
 
 import grpc
 import pytest
+from lambent_server.core.settings import Settings
 from lambent_server.executors import ExecutorAwayError, Gone, Handle, Launch
 from lambent_server.executors.chosen import ExecutorSetupError, open_executor
 from lambent_server.executors.installed import installed
 from lambent_server.executors.ray import RayExecutor
 from lambent_server.executors.ray_cluster import Actor, Look, Node, link_environment, probe
-from lambent_server.settings import Settings
 
 RUN = "job_a/3"
 HANDLE: Handle = {"actor": RUN, "run": RUN, "executor": "ray", "gpus": []}

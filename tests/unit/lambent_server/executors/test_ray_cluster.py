@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from lambent_server.core.settings import Settings
 from lambent_server.executors import ExecutorAwayError, ray_cluster
 from lambent_server.executors.ray_cluster import Cluster, RayProcess
-from lambent_server.settings import Settings
 from support.live_server import wait_until
 
 PROGRAM = """#!{python} -S

@@ -3,6 +3,8 @@
 from pathlib import Path
 
 import pytest
+from lambent_server.api.problems import Problem
+from lambent_server.core.settings import Settings
 from lambent_server.http.budget import (
     BODIES,
     REQUESTS,
@@ -13,8 +15,6 @@ from lambent_server.http.budget import (
     client_of_address,
     kind_of,
 )
-from lambent_server.problems import Problem
-from lambent_server.settings import Settings
 from starlette.datastructures import Headers
 
 

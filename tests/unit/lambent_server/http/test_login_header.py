@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from lambent_server.core.secrets import SecretError
+from lambent_server.core.settings import Settings
 from lambent_server.http.login_header import LOGIN_NAME, LOGIN_ORGANISATIONS, LoginHeader, login_secret
-from lambent_server.secrets import SecretError
-from lambent_server.settings import Settings
 from structlog.testing import capture_logs
 
 

@@ -176,7 +176,7 @@ def test_a_login_code_is_used_up_only_with_the_session_that_it_gives(
         raise OSError("the machine is about to die")
 
     with monkeypatch.context() as patched:
-        patched.setattr("lambent_server.routes.login.open_session", fail)
+        patched.setattr("lambent_server.people.login_routes.open_session", fail)
         expect_problem(browser.post("/v1/login", json={"code": code}), 500, "internal")
     expect(browser.post("/v1/login", json={"code": code}), 204)
 
@@ -191,7 +191,7 @@ def test_no_login_link_without_its_entry_in_the_audit_log(api: Api, monkeypatch:
 
     before = codes()
     with monkeypatch.context() as patched:
-        patched.setattr("lambent_server.routes.login.audit.record", fail)
+        patched.setattr("lambent_server.people.login_routes.audit.record", fail)
         expect_problem(api.post("/v1/login-links"), 500, "internal")
     assert codes() == before
 
@@ -304,7 +304,7 @@ def test_a_database_that_is_away_is_a_503_and_a_mistake_is_a_500_without_details
 
     job = api.job()
     for failing, status, code in ((away, 503, "database_unavailable"), (broken, 500, "internal")):
-        monkeypatch.setattr("lambent_server.job_queries.require_job", failing)
+        monkeypatch.setattr("lambent_server.jobs.queries.require_job", failing)
         problem = expect_problem(api.get(f"/v1/jobs/{job['id']}"), status, code)
         assert problem["retryable"]
         assert "secret" not in json.dumps(problem)
@@ -323,7 +323,7 @@ def test_the_server_says_what_it_is_and_accepts(api: Api):
 
 
 def test_keys_and_secrets_are_readable_by_their_owner_only(tmp_path: Path):
-    from lambent_server.secrets import read_or_create_secret
+    from lambent_server.core.secrets import read_or_create_secret
 
     first = read_or_create_secret(tmp_path / "api.key", "lk_")
     assert first.startswith("lk_")

@@ -5,8 +5,8 @@ import time
 from pathlib import Path
 
 import pytest
-from lambent_server import scene_rows
 from lambent_server.http import request_turns
+from lambent_server.scenes import rows as scene_rows
 from support.api import STRANGER_KEY, expect, opened
 
 

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from lambent_server import job_queries
 from lambent_server.database.schema import scenes
 from lambent_server.database.tenancy import change
+from lambent_server.jobs import queries as job_queries
 from sqlalchemy import event
 from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from lambent_server.job_rows import RUNNING, move
+from lambent_server.jobs.rows import RUNNING, move
 from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
 from support.runs import staged
 from support.server_rows import add_bundle

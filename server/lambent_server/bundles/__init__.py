@@ -1,0 +1,1 @@
+"""Bundles: rows, messages, and their REST routes."""

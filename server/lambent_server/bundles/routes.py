@@ -1,0 +1,197 @@
+"""Bundles: lists, and links that share one of them."""
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request, Response
+
+from lambent_server.accounts import audit, keys, shares
+from lambent_server.api.change_messages import BundleChange
+from lambent_server.api.idempotency import made_before
+from lambent_server.api.labels import having
+from lambent_server.api.pagination import LabelFilter, LongPageFilter, select_newest
+from lambent_server.api.problems import Problem
+from lambent_server.api.resources import IdempotencyKey, IfMatch, ResourceRoute, digest_of, require_match
+from lambent_server.bundles import rows as bundle_rows
+from lambent_server.bundles.messages import (
+    BundleDetail,
+    BundleList,
+    NewShare,
+    OpenedShare,
+    Share,
+    ShareList,
+    ShareToken,
+)
+from lambent_server.core.clock import new_id, now, rfc3339
+from lambent_server.database.schema import bundles
+from lambent_server.database.schema import shares as share_rows
+from lambent_server.database.tenancy import Tenant
+from lambent_server.http.common import Id, ServicesOf, TenantOf, WhoOf, problems
+from lambent_server.jobs import removals
+from lambent_server.people.cookies import visitor
+
+router = APIRouter(tags=["bundles"], route_class=ResourceRoute)
+
+
+@router.get("/v1/bundles", responses=problems(422))
+def list_bundles(
+    services: ServicesOf, tenant: TenantOf, given: Annotated[LabelFilter, Query()]
+) -> BundleList:
+    """List bundles, newest first."""
+    with services.database.read() as connection:
+        found, cursor = select_newest(
+            connection,
+            tenant,
+            bundles,
+            *having(tenant, bundles.c.id, given.label),
+            limit=given.limit,
+            cursor=given.cursor,
+        )
+        items = bundle_rows.show_all(connection, tenant, found)
+    return BundleList(items=items, next_cursor=cursor)
+
+
+@router.get("/v1/bundles/{bundle_id:id}", responses=problems(404))
+def get_bundle(services: ServicesOf, tenant: TenantOf, bundle_id: Id) -> BundleDetail:
+    """Return a bundle with its files."""
+    with services.database.read() as connection:
+        row = bundle_rows.require_bundle(connection, tenant, bundle_id)
+        return bundle_rows.show_files(connection, tenant, row)
+
+
+@router.patch("/v1/bundles/{bundle_id:id}", responses=problems(400, 403, 404, 412, 413, 422))
+def change_bundle(
+    services: ServicesOf,
+    tenant: TenantOf,
+    who: WhoOf,
+    bundle_id: Id,
+    body: BundleChange,
+    if_match: IfMatch = None,
+) -> BundleDetail:
+    """Change the labels of a bundle."""
+    with services.database.write() as connection:
+        row = bundle_rows.require_bundle(connection, tenant, bundle_id, lock=True)
+        require_match(if_match, bundle_rows.show_files(connection, tenant, row))
+        changed = bundle_rows.change_bundle(connection, tenant, row, body)
+        audit.record(connection, who, "change_bundle", bundle_id)
+        return bundle_rows.show_files(connection, tenant, changed)
+
+
+@router.delete(
+    "/v1/bundles/{bundle_id:id}", status_code=204, response_class=Response, responses=problems(403, 404, 409)
+)
+def delete_bundle(services: ServicesOf, tenant: TenantOf, who: WhoOf, bundle_id: Id) -> Response:
+    """Delete a bundle with its files and the links to it; the job that made it stays."""
+    with services.database.write() as connection:
+        removals.delete_bundle(connection, tenant, bundle_id)
+        audit.record(connection, who, "delete_bundle", bundle_id)
+    return Response(status_code=204)
+
+
+def _secret(request: Request) -> str:
+    secret: str = request.app.state.share_secret
+    return secret
+
+
+def _show(request: Request, row: Any) -> Share:
+    base = str(request.base_url).rstrip("/")
+    return Share(
+        id=row["id"],
+        bundle_id=row["bundle_id"],
+        url=f"{base}{shares.page_path(row['id'])}#{shares.sign(_secret(request), row)}",
+        created_at=rfc3339(row["created_at"]),
+        expires_at=rfc3339(row["expires_at"]),
+        frame_ancestors=shares.frame_ancestors(row),
+    )
+
+
+@router.post(
+    "/v1/bundles/{bundle_id:id}/shares", status_code=201, responses=problems(400, 403, 404, 413, 422)
+)
+def create_share(
+    services: ServicesOf,
+    tenant: TenantOf,
+    who: WhoOf,
+    bundle_id: Id,
+    request: Request,
+    body: NewShare,
+    key: IdempotencyKey = None,
+) -> Share:
+    """Create a link that gives everyone who has it read access to this bundle only, until it expires."""
+    with services.database.write() as connection:
+        bundle_rows.require_bundle(connection, tenant, bundle_id)
+        identifier, digest = new_id("share"), digest_of("share", bundle_id, body)
+        known = made_before(connection, tenant, key, digest, identifier)
+        if known is not None:
+            return _show(request, shares.require(connection, tenant, known))
+        lifetime_s = body.expires_in_s
+        if (until := keys.end_of(connection, who)) is not None:
+            # A link lasts no longer than the key that makes it.
+            lifetime_s = min(lifetime_s, until - now())
+        order = (lifetime_s, body.frame_ancestors, identifier)
+        made = shares.create(connection, tenant, bundle_id, *order, maker=who.maker)
+        audit.record(connection, who, "create_share", bundle_id, details={"share": identifier})
+        return _show(request, made)
+
+
+@router.get("/v1/bundles/{bundle_id:id}/shares", responses=problems(404, 422))
+def list_shares(
+    services: ServicesOf,
+    tenant: TenantOf,
+    bundle_id: Id,
+    request: Request,
+    given: Annotated[LongPageFilter, Query()],
+) -> ShareList:
+    """List the active links of a bundle, newest first."""
+    with services.database.read() as connection:
+        bundle_rows.require_bundle(connection, tenant, bundle_id)
+        found, cursor = select_newest(
+            connection,
+            tenant,
+            share_rows,
+            *shares.working(bundle_id),
+            limit=given.limit,
+            cursor=given.cursor,
+        )
+    return ShareList(items=[_show(request, row) for row in found], next_cursor=cursor)
+
+
+@router.delete(
+    "/v1/shares/{share_id:id}", status_code=204, response_class=Response, responses=problems(403, 404)
+)
+def revoke_share(services: ServicesOf, tenant: TenantOf, who: WhoOf, share_id: Id) -> Response:
+    """Revoke a link, with immediate effect for everyone who has opened it."""
+    with services.database.write() as connection:
+        shares.revoke(connection, tenant, share_id)
+        audit.record(connection, who, "revoke_share", share_id)
+    return Response(status_code=204)
+
+
+@router.post("/v1/shares:open", responses=problems(400, 413, 422))
+def open_share(services: ServicesOf, request: Request, response: Response, body: ShareToken) -> OpenedShare:
+    """Exchange the secret of a link for a cookie that gives read access to its bundle."""
+    with services.database.write() as connection:
+        row = shares.granted(connection, _secret(request), body.token)
+        if row is not None:
+            audit.record(
+                connection,
+                visitor(request, Tenant(row["tenant_id"]), "link", row["id"]),
+                "open_share",
+                row["bundle_id"],
+            )
+    if row is None:
+        raise Problem(
+            401,
+            "share_invalid",
+            "this link is invalid, expired or revoked; ask the person who sent it for a new one",
+            headers={"www-authenticate": 'Bearer realm="lambent"'},
+        )
+    response.set_cookie(
+        shares.COOKIE,
+        body.token,
+        path=shares.cookie_path(row["bundle_id"]),
+        max_age=max(int(row["expires_at"] - now()), 1),
+        httponly=True,
+        samesite="strict",
+        secure=request.url.scheme == "https",
+    )
+    return OpenedShare(bundle_id=row["bundle_id"], expires_at=rfc3339(row["expires_at"]))

@@ -1,0 +1,1 @@
+"""Clock, settings, logs, counters and secrets."""

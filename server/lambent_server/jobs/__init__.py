@@ -1,0 +1,1 @@
+"""Jobs: rows, queue, history, logs, and their REST routes."""

@@ -1,0 +1,1 @@
+"""Background work: retention, deletion, compression, checks of contents."""

@@ -1,0 +1,1 @@
+"""The web pages, and what a server says about itself."""

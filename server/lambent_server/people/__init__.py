@@ -1,0 +1,1 @@
+"""REST routes of people, keys and signing in."""

@@ -1,0 +1,1 @@
+"""Files that arrive, through the server and directly to the object store."""

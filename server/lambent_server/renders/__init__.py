@@ -1,0 +1,1 @@
+"""Orders of pictures: rows, tasks, and their REST routes."""

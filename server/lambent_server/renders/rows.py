@@ -1,0 +1,371 @@
+"""Database rows of picture orders: the request, the jobs that render it, and their progress."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lambent_core.pictures import (
+    RenderAsset,
+    RenderCameras,
+    RenderEnvironment,
+    RenderQuality,
+    RenderSpec,
+    safe_name,
+)
+from sqlalchemy import ColumnElement, Connection, FromClause, case, false, func, select
+
+from lambent_server.api.idempotency import made_before
+from lambent_server.api.problems import Detail, Problem, conflict, invalid, not_found
+from lambent_server.cluster.membership import total_slots
+from lambent_server.core.clock import new_id, now, rfc3339
+from lambent_server.database.schema import (
+    bundle_files,
+    bundles,
+    environments,
+    events,
+    jobs,
+    render_orders,
+)
+from lambent_server.database.tenancy import Tenant, add, find, rows
+from lambent_server.executors.chosen import is_on_this_machine
+from lambent_server.jobs.queries import check_priority, check_quota, insert_job
+from lambent_server.jobs.rows import (
+    CANCELLED,
+    CANCELLING,
+    FAILED,
+    FINAL,
+    QUEUED,
+    SUCCEEDED,
+    Job,
+    is_unfinished,
+)
+from lambent_server.renders.messages import Batch, NewBatch, NewRender
+from lambent_server.services import Services
+
+RENDER = "render"
+BATCH = "batch"
+KINDS = (RENDER, BATCH)
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Order:
+    """Pictures to queue, as requested."""
+
+    kind: str
+    spec: RenderSpec
+    shards: int
+    priority: int
+    labels: dict[str, str]
+
+
+def order_of_batch(body: NewBatch) -> Order:
+    """Return the order of a batch."""
+    own = {"shards", "priority", "labels"}
+    spec = RenderSpec(**{name: getattr(body, name) for name in type(body).model_fields if name not in own})
+    return Order(kind=BATCH, spec=spec, shards=body.shards, priority=body.priority, labels=body.labels)
+
+
+def order_of_render(body: NewRender) -> Order:
+    """Return the order for pictures of one bundle: one job."""
+    asset = RenderAsset(
+        bundle_id=body.bundle_id, material=body.material, object_rotate_deg=body.object_rotate_deg
+    )
+    spec = RenderSpec(
+        name=RENDER,
+        assets=[asset],
+        environments=body.environments,
+        cameras=[body.cameras],
+        qualities=[body.quality],
+        output=body.output,
+    )
+    return Order(kind=RENDER, spec=spec, shards=1, priority=body.priority, labels=body.labels)
+
+
+def submit_once(
+    connection: Connection, tenant: Tenant, order: Order, services: Services, key: str | None, digest: str
+) -> Row:
+    """Queue an order, or return the one that was submitted earlier with this key."""
+    order_id = new_id(order.kind)
+    known = made_before(connection, tenant, key, digest, order_id)
+    if known is not None:
+        return require_order(connection, tenant, known, order.kind)
+    return submit(connection, tenant, order, services, order_id)
+
+
+def submit(connection: Connection, tenant: Tenant, order: Order, services: Services, order_id: str) -> Row:
+    """Queue the jobs of an order; raises the problem if it cannot be accepted."""
+    spec = _named(connection, tenant, order.spec, single=order.kind == RENDER)
+    num_pictures = _count_pictures(connection, tenant, spec, services, single=order.kind == RENDER)
+    limit = services.settings.max_batch_pictures
+    if num_pictures > limit:
+        message = f"{num_pictures} pictures are asked for, {limit} are allowed at once"
+        raise invalid("too_many_pictures", "#/cameras", message)
+    num_shards = min(order.shards or _num_places(connection, services), num_pictures)
+    num_jobs = num_shards + (num_shards > 1)
+    check_priority(order.priority, services.settings)
+    check_quota(connection, tenant, services, num_jobs)
+    connection.execute(
+        add(
+            tenant,
+            render_orders,
+            id=order_id,
+            kind=order.kind,
+            name=spec.name,
+            spec=spec.model_dump(mode="json"),
+            num_pictures=num_pictures,
+            num_shards=num_shards,
+            created_at=now(),
+        )
+    )
+    for shard in range(num_jobs):
+        _queue(connection, tenant, order_id, order.kind, shard, order.priority, order.labels)
+    return require_order(connection, tenant, order_id, order.kind)
+
+
+def _num_places(connection: Connection, services: Services) -> int:
+    """Return how many parts of an order can be rendered at the same time."""
+    if is_on_this_machine(services.settings):
+        return total_slots(connection, services.settings.local_slots)
+    return services.capacity.num_places()
+
+
+def _queue(
+    connection: Connection,
+    tenant: Tenant,
+    order_id: str,
+    kind: str,
+    shard: int,
+    priority: int,
+    labels: dict[str, str],
+) -> Row:
+    return insert_job(
+        connection,
+        tenant,
+        kind=kind,
+        scene_id="",
+        preset="",
+        params={},
+        gpus=0,
+        priority=priority,
+        labels=labels,
+        seed=0,
+        order_id=order_id,
+        shard=shard,
+    )
+
+
+def queue_again(connection: Connection, tenant: Tenant, job: Job, services: Services) -> Row:
+    """Queue a new job for the part of an order that `job` was to render."""
+    return _queue_parts(connection, tenant, job["order_id"], [job], services)[0]
+
+
+def _queue_parts(
+    connection: Connection, tenant: Tenant, order_id: str, parts: Sequence[Job], services: Services
+) -> list[Row]:
+    """Queue parts of an order again, and the summary job too if it has ended."""
+    last = newest_jobs(connection, tenant, order_id)[-1]
+    again = list(parts)
+    if last["state"] in FINAL and last["shard"] not in {job["shard"] for job in parts}:
+        again += [last] if is_summary(last, _num_shards(connection, tenant, order_id)) else []
+    check_quota(connection, tenant, services, len(again))
+    return [
+        _queue(connection, tenant, order_id, job["kind"], job["shard"], job["priority"], job["labels"])
+        for job in again
+    ]
+
+
+def is_summary(job: Job, num_shards: int) -> bool:
+    """Return whether a job is the summary, which only creates the table and contact sheet of all parts."""
+    return bool(job["shard"] == num_shards)
+
+
+def _num_shards(connection: Connection, tenant: Tenant, order_id: str) -> int:
+    row = find(connection, tenant, render_orders, order_id)
+    assert row is not None
+    return int(row["num_shards"])
+
+
+def waits_for_parts(table: FromClause = jobs) -> ColumnElement[bool]:
+    """Return the condition that a job is the summary of an order with an unfinished part."""
+    parts = jobs.alias()
+    # A scalar, not EXISTS: PostgreSQL would read all orders into a hash table.
+    going_on = (
+        select(parts.c.id)
+        .join(render_orders, render_orders.c.id == parts.c.order_id)
+        .where(
+            parts.c.order_id == table.c.order_id,
+            parts.c.shard < table.c.shard,
+            is_unfinished(parts),
+            render_orders.c.num_shards == table.c.shard,
+        )
+        .limit(1)
+        .correlate(table)
+        .scalar_subquery()
+    )
+    # As a choice, which PostgreSQL takes to be as often true as false and not to hold for nearly every job.
+    return case((table.c.order_id.is_(None), false()), else_=going_on.is_not(None))
+
+
+def require_order(
+    connection: Connection, tenant: Tenant, order_id: str, kind: str, *, lock: bool = False
+) -> Row:
+    """Return the order's row."""
+    row = find(connection, tenant, render_orders, order_id, lock=lock)
+    if row is None or row["kind"] != kind:
+        raise not_found(kind, order_id)
+    return dict(row)
+
+
+def first_job(connection: Connection, tenant: Tenant, order_id: str) -> Row:
+    """Return the job as which an order was first queued."""
+    statement = rows(tenant, jobs).where(jobs.c.order_id == order_id).order_by(jobs.c.id).limit(1)
+    return dict(connection.execute(statement).mappings().one())
+
+
+def newest_jobs(connection: Connection, tenant: Tenant, order_id: str) -> list[Row]:
+    """Return the newest job of every part of an order, by part; the summary comes last."""
+    statement = rows(tenant, jobs).where(jobs.c.order_id == order_id).order_by(jobs.c.id)
+    found = {row["shard"]: dict(row) for row in connection.execute(statement).mappings()}
+    return [found[shard] for shard in sorted(found)]
+
+
+def show(connection: Connection, tenant: Tenant, row: Row) -> Batch:
+    """Return a batch in the form of the REST interface."""
+    found = newest_jobs(connection, tenant, row["id"])
+    identifiers = [job["id"] for job in found]
+    parts = [job for job in found if not is_summary(job, row["num_shards"])]
+    failed = rows(tenant, events, func.count()).where(
+        events.c.job_id.in_(identifiers), events.c.type == "finding"
+    )
+    return Batch(
+        id=row["id"],
+        name=row["name"],
+        state=_state([job["state"] for job in found]),
+        created_at=rfc3339(row["created_at"]),
+        num_pictures=row["num_pictures"],
+        num_done=sum((job["progress"] or {}).get("step", 0) for job in parts),
+        num_failed=connection.execute(failed).scalar_one(),
+        job_ids=identifiers,
+    )
+
+
+def _state(states: Sequence[str]) -> Any:
+    """Return the combined state of an order from those of its parts."""
+    going_on = [state for state in states if state not in FINAL]
+    if going_on:
+        if CANCELLING in going_on:
+            return CANCELLING
+        return QUEUED if all(state == QUEUED for state in states) else "running"
+    return next((state for state in (FAILED, CANCELLED) if state in states), SUCCEEDED)
+
+
+def retry(connection: Connection, tenant: Tenant, row: Row, services: Services) -> None:
+    """Queue every part of a batch that failed or was cancelled again."""
+    again = [job for job in newest_jobs(connection, tenant, row["id"]) if job["state"] in (FAILED, CANCELLED)]
+    if not again:
+        raise conflict("batch_not_ended", f"no job of batch {row['id']} has failed or was cancelled")
+    _queue_parts(connection, tenant, row["id"], again, services)
+
+
+def _named(connection: Connection, tenant: Tenant, spec: RenderSpec, *, single: bool) -> RenderSpec:
+    """Return the order with every name filled in; everything that it refers to must exist."""
+    assets, lights = [], []
+    for index, asset in enumerate(spec.assets):
+        if find(connection, tenant, bundles, asset.bundle_id) is None:
+            raise _missing("bundle", asset.bundle_id, "#" if single else f"#/assets/{index}")
+        assets.append(asset.model_copy(update={"name": asset.name or asset.bundle_id}))
+    for index, light in enumerate(spec.environments):
+        row = find(connection, tenant, environments, light.environment_id)
+        if row is None:
+            raise _missing("environment", light.environment_id, f"#/environments/{index}")
+        name = light.name or safe_name(row["name"].rpartition(".")[0] or row["name"])
+        lights.append(light.model_copy(update={"name": name}))
+    qualities = [each.model_copy(update={"name": each.name or each.quality}) for each in spec.qualities]
+    named = spec.model_copy(update={"assets": assets, "environments": lights, "qualities": qualities})
+    named_entries: dict[str, Sequence[RenderAsset | RenderEnvironment | RenderQuality]]
+    named_entries = {"assets": assets, "environments": lights, "qualities": qualities}
+    for place, entries in named_entries.items():
+        seen: set[str] = set()
+        for index, entry in enumerate(entries):
+            name = str(entry.name).casefold()
+            if name in seen:
+                pointer = f"#/{place}/{index}/name"
+                raise invalid("name_clash", pointer, f'a second entry is called "{entry.name}"; name them')
+            seen.add(name)
+    _check_path(named)
+    return named
+
+
+def _check_path(spec: RenderSpec) -> None:
+    """Refuse a pattern that gives two pictures the same name, or that contains invalid folder names."""
+    path = spec.output.path
+    counts = {
+        "asset": len(spec.assets),
+        "environment": len(spec.environments),
+        "quality": len(spec.qualities),
+    }
+    needed = ["camera", *(place for place, count in counts.items() if count > 1)]
+    lacking = [f"{{{place}}}" for place in needed if f"{{{place}}}" not in path]
+    if lacking:
+        message = f"pictures would have the same name; add {', '.join(lacking)}"
+        raise invalid("name_clash", "#/output/path", message)
+
+
+def _missing(kind: str, identifier: str, pointer: str) -> Problem:
+    return Problem(
+        404,
+        f"{kind}_not_found",
+        f"there is no {kind} {identifier!r}",
+        errors=(Detail(f"{pointer}/{kind}_id", f"no such {kind}"),),
+    )
+
+
+def _count_pictures(
+    connection: Connection, tenant: Tenant, spec: RenderSpec, services: Services, *, single: bool
+) -> int:
+    per_asset = len(spec.environments) * len(spec.qualities)
+    counts: dict[str, int] = {}
+    for asset in spec.assets:
+        if asset.bundle_id not in counts:
+            names = _camera_names(connection, tenant, asset.bundle_id, services)
+            counts[asset.bundle_id] = sum(
+                _count_cameras(entry, names, "#/cameras" if single else f"#/cameras/{index}")
+                for index, entry in enumerate(spec.cameras)
+            )
+    return per_asset * sum(counts[asset.bundle_id] for asset in spec.assets)
+
+
+def _count_cameras(entry: RenderCameras, names: list[str], pointer: str) -> int:
+    given = [bool(entry.turntable), bool(entry.views), entry.all_views, bool(entry.poses)]
+    if sum(given) != 1:
+        raise invalid(
+            "cameras_unclear", pointer, "exactly one of turntable, views, all_views and poses is needed"
+        )
+    for name in ("elevation_deg", "radius", "field_of_view_deg", "start_deg"):
+        if name in entry.model_fields_set and getattr(entry, name) is not None and not entry.turntable:
+            raise invalid("cameras_unclear", f"{pointer}/{name}", "this places a turntable")
+    for index, view in enumerate(entry.views):
+        if view not in names:
+            shown = ", ".join(names[:8]) or "none"
+            message = f"the bundle has no camera {view!r}; it has {shown}"
+            raise invalid("camera_unknown", f"{pointer}/views/{index}", message)
+    if entry.all_views and not names:
+        raise invalid("camera_unknown", f"{pointer}/all_views", "the bundle has no cameras of its own")
+    return entry.turntable or len(entry.views) or len(entry.poses) or len(names)
+
+
+def _camera_names(connection: Connection, tenant: Tenant, bundle_id: str, services: Services) -> list[str]:
+    """Return the names of the cameras of a bundle's photographs; none if it does not list them."""
+    statement = rows(tenant, bundle_files).where(
+        bundle_files.c.bundle_id == bundle_id, bundle_files.c.path == "cameras.json"
+    )
+    row = connection.execute(statement).mappings().one_or_none()
+    if row is None:
+        return []
+    try:
+        entries = json.loads(services.store.read_all(row["sha256"]))["cameras"]
+        return [str(each.get("name", f"camera_{index:03d}")) for index, each in enumerate(entries)]
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return []

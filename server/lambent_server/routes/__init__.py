@@ -1,1 +1,0 @@
-"""The REST operations, one module for each kind of thing."""

@@ -1,0 +1,1 @@
+"""Scenes: rows, figures, and their REST routes."""

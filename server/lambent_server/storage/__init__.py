@@ -1,0 +1,1 @@
+"""Blobs: the store, its checks, archives, space and garbage."""

@@ -1,0 +1,1 @@
+"""Webhooks: subscriptions, outbox and delivery."""

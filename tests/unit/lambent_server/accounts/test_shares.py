@@ -1,0 +1,206 @@
+"""Links to one bundle: they read it, and nothing else, until they end or are taken back."""
+
+import contextlib
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from lambent_server.accounts import organisations
+from lambent_server.accounts.shares import COOKIE, bundle_read, find_any, is_active
+from lambent_server.core.clock import now
+from lambent_server.database.schema import shares as table
+from lambent_server.database.tenancy import change
+from lambent_server.maintenance.housekeeping import sweep
+from support.api import STRANGER, STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
+from support.server_rows import add_bundle
+
+FILES = {"manifest.json": b"{}", "models/cache.onnx": b"cache"}
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
+    with opened(tmp_path_factory.mktemp("api") / "data") as api:
+        folder = tmp_path_factory.mktemp("files")
+        add_bundle(api, folder, FILES, bundle_id="bundle_shown")
+        add_bundle(api, folder, FILES, bundle_id="bundle_other")
+        add_bundle(api, folder, FILES, bundle_id="bundle_foreign", tenant=STRANGER)
+        yield api
+
+
+def make(api: Api, **body: object) -> tuple[dict, str]:
+    """Return a share of bundle_shown and its token."""
+    share = expect(api.post("/v1/bundles/bundle_shown/shares", json=body), 201)
+    return share, share["url"].partition("#")[2]
+
+
+def visitor(api: Api, token: str):
+    """Return a browser that has opened the link."""
+    browser = api.other(None)
+    expect(browser.post("/v1/shares:open", json={"token": token}), 200)
+    return browser
+
+
+def with_cookie(api: Api, token: str):
+    """Return a browser that sends the token everywhere, whatever path it was given for."""
+    browser = api.other(None)
+    browser.headers["cookie"] = f"{COOKIE}={token}"
+    return browser
+
+
+def test_a_link_reads_its_bundle(api: Api):
+    share, token = make(api, expires_in_s=3600)
+    assert share["url"] == f"http://localhost/embed/{share['id']}#{token}"
+    assert token.startswith(f"{share['id']}.")
+    browser = visitor(api, token)
+    assert browser.get("/v1/bundles/bundle_shown/files/models/cache.onnx").content == b"cache"
+    expect(browser.get("/v1/bundles/bundle_shown/manifest"), 200)
+
+
+def test_the_cookie_is_for_this_bundle_only_and_not_for_scripts(api: Api):
+    _, token = make(api, expires_in_s=3600)
+    answer = api.other(None).post("/v1/shares:open", json={"token": token})
+    cookie = answer.headers["set-cookie"].lower()
+    assert "path=/v1/bundles/bundle_shown/;" in cookie
+    assert "httponly" in cookie
+    assert "samesite=strict" in cookie
+    seconds = int(cookie.partition("max-age=")[2].partition(";")[0])
+    assert 3590 <= seconds <= 3600
+    assert expect(answer, 200)["bundle_id"] == "bundle_shown"
+
+
+def test_a_link_opens_nothing_else(api: Api):
+    _, token = make(api)
+    job = api.job()
+    thief = with_cookie(api, token)
+    expect(thief.get("/v1/bundles/bundle_shown/manifest"), 200)
+    for method, path in (
+        ("get", "/v1/bundles/bundle_other/manifest"),
+        ("get", "/v1/bundles/bundle_other/files/models/cache.onnx"),
+        ("get", "/v1/bundles/bundle_foreign/manifest"),
+        ("get", "/v1/bundles/bundle_shown"),
+        ("get", "/v1/bundles"),
+        ("get", "/v1/bundles/bundle_shown/shares"),
+        ("post", "/v1/bundles/bundle_shown/shares"),
+        ("delete", "/v1/shares/x"),
+        ("get", "/v1/scenes"),
+        ("get", "/v1/jobs"),
+        ("get", f"/v1/jobs/{job['id']}"),
+        ("get", "/v1/events"),
+        ("post", "/v1/jobs"),
+        ("get", "/v1/blobs/" + "0" * 64),
+        ("post", "/v1/bundles/bundle_shown/manifest"),
+        ("get", "/metrics"),
+    ):
+        body = {"json": {}} if method == "post" else {}
+        answer = thief.request(method, path, headers={"x-lambent-csrf": "1"}, **body)
+        expect_problem(answer, 401, "not_authenticated")
+
+
+def test_a_link_taken_back_is_closed_for_those_who_opened_it(api: Api):
+    share, token = make(api)
+    browser = visitor(api, token)
+    answer = browser.get("/v1/bundles/bundle_shown/manifest")
+    expect(answer, 200)
+    # Or the browser would go on showing what it has kept.
+    assert answer.headers["cache-control"] == "private, no-cache"
+    assert "immutable" in api.get("/v1/bundles/bundle_shown/manifest").headers["cache-control"]
+    expect(api.delete(f"/v1/shares/{share['id']}"), 204)
+    expect(api.delete(f"/v1/shares/{share['id']}"), 204)
+    expect_problem(browser.get("/v1/bundles/bundle_shown/manifest"), 401, "not_authenticated")
+    expect_problem(api.other(None).post("/v1/shares:open", json={"token": token}), 401, "share_invalid")
+    listed = expect(api.get("/v1/bundles/bundle_shown/shares"), 200)["items"]
+    assert share["id"] not in [each["id"] for each in listed]
+
+
+def test_a_link_ends(api: Api, monkeypatch: pytest.MonkeyPatch):
+    _, token = make(api, expires_in_s=60)
+    browser = with_cookie(api, token)
+    expect(browser.get("/v1/bundles/bundle_shown/manifest"), 200)
+    monkeypatch.setattr("lambent_server.accounts.shares.now", lambda: time.time() + 61)
+    expect_problem(browser.get("/v1/bundles/bundle_shown/manifest"), 401, "not_authenticated")
+
+
+def test_what_a_link_grants_is_signed(api: Api):
+    share, token = make(api, expires_in_s=60)
+    forged = token[:-1] + ("0" if token[-1] != "0" else "1")
+    for wrong in (forged, share["id"], share["id"] + ".", "x", token + "x", token.upper()):
+        expect_problem(api.other(None).post("/v1/shares:open", json={"token": wrong}), 401, "share_invalid")
+    # Somebody who can write rows but does not have the secret gains nothing by them.
+    for values in ({"bundle_id": "bundle_other"}, {"expires_at": now() + 1e6}):
+        row, mine = make(api)
+        with api.services.database.write() as connection:
+            connection.execute(change(TENANT, table).where(table.c.id == row["id"]).values(**values))
+        expect_problem(api.other(None).post("/v1/shares:open", json={"token": mine}), 401, "share_invalid")
+
+
+def test_only_the_owner_makes_and_takes_back_links(api: Api):
+    share, token = make(api)
+    stranger = api.other(STRANGER_KEY)
+    expect_problem(stranger.post("/v1/bundles/bundle_shown/shares", json={}), 404, "bundle_not_found")
+    expect_problem(stranger.get("/v1/bundles/bundle_shown/shares"), 404, "bundle_not_found")
+    expect_problem(stranger.delete(f"/v1/shares/{share['id']}"), 404, "share_not_found")
+    visitor(api, token)
+    for seconds in (0, 59, 10**9, "x"):
+        answer = api.post("/v1/bundles/bundle_shown/shares", json={"expires_in_s": seconds})
+        expect_problem(answer, 422, "invalid_request")
+
+
+def test_ended_links_are_swept_away(api: Api, monkeypatch: pytest.MonkeyPatch):
+    make(api, expires_in_s=60)
+    monkeypatch.setattr("lambent_server.maintenance.housekeeping.now", lambda: time.time() + 400 * 24 * 3600)
+    sweep(api.services)
+    assert expect(api.get("/v1/bundles/bundle_shown/shares"), 200)["items"] == []
+
+
+def test_a_request_reads_a_bundle_only_by_its_files():
+    assert bundle_read("GET", "/v1/bundles/b/files/a/b.png") == "b"
+    assert bundle_read("HEAD", "/v1/bundles/b/manifest") == "b"
+    for method, path in (
+        ("PUT", "/v1/bundles/b/manifest"),
+        ("GET", "/v1/bundles/b"),
+        ("GET", "/v1/bundles/b/"),
+        ("GET", "/v1/bundles/b/shares"),
+        ("GET", "/v1/bundles/b/manifest/x"),
+        ("GET", "/x/v1/bundles/b/manifest"),
+    ):
+        assert bundle_read(method, path) is None, path
+
+
+@contextlib.contextmanager
+def closed(api: Api) -> Iterator[None]:
+    """Close the organisation for a while."""
+    for at in (now(), None):
+        with api.services.database.write() as connection:
+            organisations.update(connection, TENANT, closed_at=at)
+        if at is not None:
+            yield
+
+
+def test_links_of_a_closed_organisation_show_nothing_until_it_is_open_again(api: Api):
+    share, token = make(api, expires_in_s=3600)
+    browser, program = visitor(api, token), api.other(token)
+    page = f"/embed/{share['id']}"
+    before = [(who, path) for who in (browser, program) for path in ("manifest", "files/models/cache.onnx")]
+    for who, path in before:
+        expect_any(who.get(f"/v1/bundles/bundle_shown/{path}"), 200)
+    assert api.other(None).get(page).status_code in (200, 503)
+    with closed(api):
+        for who, path in before:
+            expect_problem(who.get(f"/v1/bundles/bundle_shown/{path}"), 401, "not_authenticated")
+        expect_problem(api.other(None).post("/v1/shares:open", json={"token": token}), 401, "share_invalid")
+        answer = api.other(None).get(page)
+        assert answer.status_code in (410, 503)
+        assert "lambent-bundle" not in answer.text
+        assert api.other(None).get(f"{page}/picture").status_code == 404
+        with api.services.database.read() as connection:
+            row = find_any(connection, share["id"])
+        assert row is not None
+        assert not is_active(row)
+    for who, path in before:
+        expect_any(who.get(f"/v1/bundles/bundle_shown/{path}"), 200)
+
+
+def expect_any(answer: Any, status: int) -> None:
+    """Check the status of an answer that is no JSON."""
+    assert answer.status_code == status, answer.text

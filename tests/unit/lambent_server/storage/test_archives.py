@@ -1,0 +1,83 @@
+"""Archives as people make them: what is read, and what is refused with what to do."""
+
+import gzip
+import tarfile
+from pathlib import Path
+
+import pytest
+from lambent_server.api.problems import Problem
+from lambent_server.core.settings import Settings
+from lambent_server.storage.archives import unpack
+from support.archives import make_tar, make_zip, tar_member
+
+SETTINGS = Settings(max_scene_bytes=100_000, max_scene_files=20)
+FOLDER = tarfile.DIRTYPE
+
+
+def unpacked(tmp_path: Path, data: bytes) -> tuple[list[str], list[str]]:
+    """Return the paths of an archive's files, and those that are left out."""
+    archive, folder = tmp_path / "archive", tmp_path / "out"
+    archive.write_bytes(data)
+    folder.mkdir()
+    members, left_out = unpack(archive, folder, SETTINGS)
+    return [member.path for member in members], left_out
+
+
+def refused(tmp_path: Path, data: bytes) -> Problem:
+    """Return why an archive is refused."""
+    with pytest.raises(Problem) as caught:
+        unpacked(tmp_path, data)
+    return caught.value
+
+
+def test_an_archive_of_a_folder_as_tar_writes_it_is_read(tmp_path: Path):
+    # tar czf x.tgz -C scene .
+    folders = [tar_member(name, b"", FOLDER) for name in ("./", "./images/", "./images//raw/")]
+    files = [tar_member(name) for name in ("./images/a.png", "./images//raw/b.png", "././c.json")]
+    paths, left_out = unpacked(tmp_path, gzip.compress(make_tar(*folders, *files)))
+    assert (paths, left_out) == (["images/a.png", "images/raw/b.png", "c.json"], [])
+
+
+def test_so_is_a_zip_with_the_same_names(tmp_path: Path):
+    entries = dict.fromkeys(("./", "./a/", "./a/./b.png", "a//c.png", "./._c.png"), b"")
+    assert unpacked(tmp_path, make_zip(entries)) == (["b.png", "c.png"], ["._c.png"])
+
+
+@pytest.mark.parametrize("name", ["./../a.png", "/a.png", "//a.png", "a/..", "./a/../b.png", ".."])
+def test_what_leads_out_of_the_folder_is_refused_all_the_same(tmp_path: Path, name: str):
+    assert refused(tmp_path, make_tar(tar_member(name))).code == "archive_unsafe"
+
+
+def test_an_archive_in_an_archive_is_named(tmp_path: Path):
+    inner = make_zip({"a.png": b"x"})
+    problem = refused(tmp_path, make_zip({"scene.zip": inner, "readme.txt": b"hello"}))
+    assert (problem.code, problem.errors[0].pointer) == ("archive_nested", "#/scene.zip")
+    assert problem.detail == "the archive holds scene.zip and no pictures; unpack it, and send what is in it"
+
+
+def test_several_of_them_are_counted(tmp_path: Path):
+    problem = refused(tmp_path, make_zip({f"{number}.tar.gz": b"x" for number in range(5)}))
+    assert "holds 0.tar.gz, 1.tar.gz, 2.tar.gz and 2 more and no pictures" in problem.detail
+
+
+def test_an_archive_beside_pictures_is_left_out(tmp_path: Path):
+    assert unpacked(tmp_path, make_zip({"a.png": b"x", "b.zip": b"y"})) == (["a.png"], ["b.zip"])
+
+
+def test_an_archive_without_a_file_of_a_scene_says_what_it_holds(tmp_path: Path):
+    problem = refused(tmp_path, make_zip({"film.mp4": b"x"}))
+    assert problem.code == "archive_empty"
+    assert "holds film.mp4, and nothing else" in problem.detail
+
+
+@pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE])
+def test_a_link_is_named_with_how_to_pack_what_it_leads_to(tmp_path: Path, kind: bytes):
+    problem = refused(tmp_path, make_tar(tar_member("a.png"), tar_member("b.png", b"", kind, "a.png")))
+    assert problem.errors[0].pointer == "#/b.png"
+    assert "tar -h" in problem.detail
+
+
+def test_two_archives_joined_are_refused_whichever_is_read(tmp_path: Path):
+    problem = refused(tmp_path, make_zip({"a.png": b"x"}) + make_zip({}))
+    assert problem.code == "archive_unsafe"
+    assert "two archives joined" in problem.detail

@@ -1,0 +1,1 @@
+"""The asset: mesh, textures, light transport, and the bundle that holds them."""

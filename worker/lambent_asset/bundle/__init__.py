@@ -1,0 +1,1 @@
+"""The relightable bundle: its manifest, graphs and files."""

@@ -1,0 +1,1 @@
+"""The mesh of a trained field: extraction, decimation and its atlas."""

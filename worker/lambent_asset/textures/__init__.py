@@ -1,0 +1,1 @@
+"""Textures of the mesh, from the trained materials and from photographs."""

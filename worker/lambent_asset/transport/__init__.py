@@ -1,0 +1,1 @@
+"""Light transport of the surface, baked for interactive relighting."""

@@ -1,0 +1,1 @@
+"""A described capture brought into memory, and inspected."""

@@ -1,0 +1,93 @@
+"""Photographs that are decoded when they are needed, at the size that is needed, and forgotten again."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+from lambent_core.errors import WorkerError
+from lambent_proto.v1 import scene_pb2
+from numpy import ndarray
+
+from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.masks.consensus import MaskView
+from lambent_capture.pictures.picture_error import PictureError
+from lambent_capture.pictures.pictures import read_picture
+from lambent_capture.pictures.resample import reduced_size
+
+Read = Callable[[int], UInt8[ndarray, "height width 3"]]
+"""Returns a photograph with its longer side at most as many pixels long, sRGB."""
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is done at present, and how many of how many; may raise to stop the work."""
+
+
+@dataclass(frozen=True, slots=True)
+class Photograph:
+    """A photograph that is not decoded yet, and the camera that took it."""
+
+    name: str
+    camera: PictureCamera
+    """In pixels of the file."""
+    read: Read
+
+    def reduced(self, side: int) -> MaskView:
+        """Return the photograph with its longer side at most `side` pixels, and the camera in its pixels."""
+        size = reduced_size(self.camera.width, self.camera.height, side)
+        pixels = self.read(side)
+        if (pixels.shape[1], pixels.shape[0]) != size:
+            pixels = _resized(pixels, size)
+        return MaskView(self.name, pixels, self.camera.resized(*size))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SparsePoints:
+    """Points that were found while cameras were solved, or with cameras that are known."""
+
+    xyz: Float64[ndarray, "points 3"]
+    """Scene units, in the coordinates of the cameras."""
+    seen_by: tuple[tuple[int, ...], ...] = ()
+    """For each point the views that see it, as positions in the list of views; empty where unknown."""
+
+
+def photographs_of(folder: Path, manifest: scene_pb2.SceneManifest) -> list[Photograph]:
+    """Return the photographs of a capture that have cameras; of several lights the first training light's."""
+    return [
+        Photograph(frame.name, PictureCamera.of_frame(frame), _file_reader(folder, frame, manifest))
+        for frame in manifest.frames
+        if frame.images
+    ]
+
+
+def of_pictures(views: Sequence[MaskView]) -> list[Photograph]:
+    """Return pictures that are decoded already as photographs."""
+    return [
+        Photograph(view.name, view.camera, lambda side, view=view: _limited(view.image_srgb, side))
+        for view in views
+    ]
+
+
+def _file_reader(folder: Path, frame: scene_pb2.Frame, manifest: scene_pb2.SceneManifest) -> Read:
+    path = min(frame.images, key=lambda image: image.light not in manifest.lights).path
+
+    def read(side: int) -> UInt8[ndarray, "height width 3"]:
+        try:
+            return read_picture(folder / path, side=side).srgb()
+        except PictureError as error:
+            raise WorkerError(error.code, f"{path} {error}") from error
+
+    return read
+
+
+def _limited(pixels: UInt8[ndarray, "height width 3"], side: int) -> UInt8[ndarray, "rows columns 3"]:
+    size = reduced_size(pixels.shape[1], pixels.shape[0], side)
+    return pixels if size == (pixels.shape[1], pixels.shape[0]) else _resized(pixels, size)
+
+
+def _resized(
+    pixels: UInt8[ndarray, "height width 3"], size: tuple[int, int]
+) -> UInt8[ndarray, "rows columns 3"]:
+    import cv2
+
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))

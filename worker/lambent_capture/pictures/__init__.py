@@ -1,0 +1,1 @@
+"""Files of pictures: levels as stored, colour spaces, alpha, masks, lenses."""

@@ -1,0 +1,1 @@
+"""A described capture: frames, cameras, problems, world and silhouettes."""
