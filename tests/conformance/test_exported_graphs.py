@@ -13,7 +13,7 @@ from flashcache.export.onnx import WeightFile
 from flashcache.export.reference import GbufferRule
 from flashcache.export.signatures import SIGNATURES
 from flashcache.kernels import dispatch
-from lambent_asset.textures.half_tables import with_half_tables
+from lambent_asset.bundle.parity import with_half_tables
 from onnx import TensorProto
 from support.sphere_model import sphere_model
 

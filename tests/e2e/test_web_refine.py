@@ -15,7 +15,7 @@ from support.engine_page import WEB, WEBGPU
 from support.refine_page import SIZE, RefinePage, build_viewer, refine_page, write_light, write_refine_bundle
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.timeout(600)]
-VIEW = "env=url:data/light.exr&camera=30,35,2.6,0,0,0&ground=0"
+VIEW = "env=url:data/light.exr&camera=30,35,2.6,0,0,0&ground=0&auto=0&rotate=0,0,0"
 FLAGS = {"auto": (), "wgsl": WEBGPU, "wasm": ()}
 LEFT = ("ArrowLeft", 37)
 

@@ -261,7 +261,8 @@ def test_without_soft_edges_only_outlines_differ(renderer, monkeypatch):
     # Creases of the mesh are shaded sample by sample.
     inside.ravel()[view.pixel[view.within < 1.0]] = False
     assert inside.sum() > 400
-    np.testing.assert_allclose(hard.rgb[inside], soft.rgb[inside], atol=1e-6)
+    # Beside outlines materials are the volume's, which are those of the textures before 8 bits were left.
+    np.testing.assert_allclose(hard.rgb[inside], soft.rgb[inside], atol=0.003)
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -59,7 +59,7 @@ def test_a_mesh_from_blender_becomes_a_bundle_that_is_relit(context, tmp_path):
     edited.export_edited(context.run_dir, out, EDITED / "ball_edited.glb", reporter)
     bundle = load_bundle(out)
     manifest = bundle.manifest
-    assert manifest.schema_version == "1.3"
+    assert manifest.schema_version == "1"
     assert (manifest.given_mesh.name, manifest.given_mesh.kept_uv) == ("ball_edited.glb", True)
     data = (EDITED / "ball_edited.glb").read_bytes()
     assert manifest.given_mesh.sha256 == hashlib.sha256(data).hexdigest()
@@ -115,7 +115,7 @@ def test_our_own_file_put_back_is_the_same_asset(context, tmp_path, monkeypatch)
         rows = slice(0, 3) if name == "base_colour_png" else slice(1, 3)
         assert np.abs(pair[0] - pair[1])[..., rows].max() <= 1, name
     atlas = bundle.manifest.atlas
-    assert (atlas.size, atlas.num_texels, atlas.albedo_source) == (128, int(inside.sum()), "file")
+    assert (atlas.size, atlas.albedo_source) == (128, "file")
     assert atlas.material_size == len(pixels_of(after.packed_png)) < 128
     Renderer(bundle, num_threads=1).render(CAMERA, LIGHT, quality="baked", antialias=1)
     assert "transport/shadow_bits.bin" not in {file.path for file in bundle.manifest.files}

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import onnx
 from google.protobuf import json_format
+from lambent_proto import BUNDLE_VERSION
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.cameras import Camera, cameras_json, turntable
 from support.analytic_scene import FAR, AnalyticScene
@@ -93,7 +94,9 @@ def write_manifest(folder: Path, manifest: BundleManifest) -> None:
 
 def manifest_of(scene: AnalyticScene) -> BundleManifest:
     """Return a manifest without files."""
-    manifest = BundleManifest(schema_version="1.0", scene_id="analytic", name="analytic", preset="none")
+    manifest = BundleManifest(
+        schema_version=BUNDLE_VERSION, scene_id="analytic", name="analytic", preset="none"
+    )
     manifest.train_lights.append("sky")
     manifest.world.up_axis, manifest.world.handedness, manifest.world.unit = "z", "right", "unknown"
     manifest.world.environment_convention, manifest.world.radiance = "tensoir", "linear-rec709"

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 
 import numpy as np
 from google.protobuf import json_format
+from lambent_asset.bundle.glb import write_glb
+from lambent_asset.textures.surface import AtlasSurface
+from lambent_asset.textures.textures import TextureSet, tangent_normals
 from lambent_asset.transport.transport import TransportConfig, bake_transport
 from lambent_proto.v1.bundle_pb2 import BundleManifest
+from lambent_relight.baked.mesh import glb_of
+from lambent_relight.baked.raster import nearest_texel
 from lambent_relight.baked.transport import Transport, transport_files
 from lambent_relight.cameras import Camera
 from support.analytic_bundle import write_analytic_bundle, write_manifest
@@ -43,16 +46,17 @@ def quads_of(box: Box) -> list[Quad]:
 
 
 def glb(vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray) -> bytes:
-    """Return a binary glTF file with positions, texture coordinates and indices."""
+    """Return a binary glTF file with positions, coordinates, indices and frames, which has no textures."""
     arrays = [vertices.astype("<f4"), uv.astype("<f4"), faces.astype("<u4").reshape(-1, 1)]
+    arrays += [np.tile(np.float32(frame), (len(vertices), 1)) for frame in ([0, 0, 1], [1, 0, 0, 1])]
+    kinds, components = ("VEC3", "VEC2", "SCALAR", "VEC3", "VEC4"), (5126, 5126, 5125, 5126, 5126)
     data, views, accessors = b"", [], []
-    for index, (array, kind, component) in enumerate(
-        zip(arrays, ("VEC3", "VEC2", "SCALAR"), (5126, 5126, 5125), strict=True)
-    ):
+    for index, (array, kind, component) in enumerate(zip(arrays, kinds, components, strict=True)):
         views.append({"buffer": 0, "byteOffset": len(data), "byteLength": array.nbytes})
         accessors.append({"bufferView": index, "componentType": component, "count": len(array), "type": kind})
         data += array.tobytes()
-    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2}
+    attributes = {"POSITION": 0, "TEXCOORD_0": 1, "NORMAL": 3, "TANGENT": 4}
+    primitive = {"attributes": attributes, "indices": 2}
     document = {
         "asset": {"version": "2.0"},
         "meshes": [{"primitives": [primitive]}],
@@ -60,12 +64,45 @@ def glb(vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray) -> bytes:
         "bufferViews": views,
         "accessors": accessors,
     }
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = (
-        struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + data
+    return glb_of(document, data)
+
+
+def boxes_surface(scene: AnalyticScene, side: int) -> tuple[AtlasSurface, TextureSet]:
+    """Return the surface of a scene of boxes, each side with `side` x `side` texels, and its textures."""
+    baked, reflectors, mesh = surface_of([quad for box in scene.shapes for quad in quads_of(box)], side)
+    edges = mesh["vertices"][mesh["faces"]]
+    facing = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
+    normals = np.zeros_like(mesh["vertices"])
+    # Every quad has vertices of its own.
+    normals[mesh["faces"].reshape(-1)] = np.repeat(facing, 3, axis=0)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    surface = AtlasSurface(
+        **mesh,
+        normals=normals,
+        size=baked.size,
+        texel_index=baked.texel_index,
+        positions=baked.positions,
+        texel_normals=baked.normals,
+        cell=0.05,
     )
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+    owner = nearest_texel(surface.texel_index, surface.size)
+    textures = TextureSet(
+        albedo=reflectors.albedo[owner],
+        perceptual_roughness=reflectors.perceptual_roughness[owner],
+        metalness=reflectors.metalness[owner],
+        occlusion=np.ones((surface.size, surface.size, 1), np.float32),
+        tangent_normal=tangent_normals(surface)[owner],
+    )
+    return surface, textures
+
+
+def write_mesh(folder: Path, surface: AtlasSurface, textures: TextureSet, manifest: BundleManifest) -> None:
+    """Write a bundle's mesh into `folder`, and its atlas into `manifest`."""
+    (folder / "mesh").mkdir(exist_ok=True)
+    (folder / "mesh" / "asset.glb").write_bytes(write_glb(surface, textures, unit="unknown"))
+    atlas = manifest.atlas
+    atlas.size, atlas.material_size = surface.size, surface.size
+    atlas.texel_size, atlas.albedo_source = surface.texel_size, "model"
 
 
 def exact_rays(scene: AnalyticScene):
@@ -104,10 +141,10 @@ def write_baked_bundle(
 ) -> Path:
     """Write a bundle of boxes with baked transport into `folder` and return it."""
     write_analytic_bundle(folder, scene, cameras)
-    transport, mesh = baked_transport(scene, side, folder.with_name(folder.name + ".rays"), tier)
+    transport, _ = baked_transport(scene, side, folder.with_name(folder.name + ".rays"), tier)
     manifest = json_format.Parse((folder / "manifest.json").read_text(), BundleManifest())
-    files = transport_files(transport, manifest, tier=tier)
-    files["mesh/asset.glb"] = glb(mesh["vertices"], mesh["faces"], mesh["uv"])
+    files = transport_files(transport, manifest)
+    write_mesh(folder, *boxes_surface(scene, side), manifest)
     for path, data in files.items():
         (folder / path).parent.mkdir(exist_ok=True)
         (folder / path).write_bytes(data)

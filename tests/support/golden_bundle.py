@@ -1,9 +1,8 @@
-"""Writes a golden bundle of the version that the exporter writes now, and the pictures that it gives.
+"""Writes a golden bundle, and the pictures that it gives.
 
     python -m support.golden_bundle FOLDER NAME [lite]
 
-A finished one goes into `tests/golden/bundles` and is never written again. `ball` of 1.2 was made so,
-`boxes` of 1.0 and 1.1 by `support.baked_bundle`, whose graphs trace boxes exactly.
+A finished one goes into `tests/golden/bundles` and is never written again.
 
     python -m support.golden_bundle redraw FOLDER
 

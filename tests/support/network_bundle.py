@@ -59,7 +59,6 @@ def write_network_bundle(
             tensor=f"{name}.table",
             num_features=grid.layout.num_features,
             half_extent=grid.layout.half_extent,
-            output_scale=1.0,
         )
         for level in grid.layout.levels:
             entry.levels.add(

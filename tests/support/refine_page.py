@@ -28,7 +28,7 @@ from lambent_relight.cameras import Camera
 from lambent_relight.environment.maps import write_environment
 from support.analytic_bundle import gbuffer_model, material_model, write_manifest
 from support.analytic_scene import AnalyticScene, Box, Surface
-from support.baked_bundle import baked_transport, glb
+from support.baked_bundle import baked_transport, boxes_surface, write_mesh
 from support.chromium import Page, browser
 from support.engine_page import WEB
 from support.network_bundle import write_network_bundle
@@ -70,11 +70,11 @@ def write_refine_bundle(folder: Path) -> Path:
     write_network_bundle(folder, model, RULE)
     for name, model in (("gbuffer", gbuffer_model(SCENE)), ("material", material_model(SCENE))):
         (folder / "models" / f"{name}.onnx").write_bytes(model.SerializeToString())
-    transport, mesh = baked_transport(SCENE, 16, folder.with_name(folder.name + ".rays"))
+    transport, _ = baked_transport(SCENE, 16, folder.with_name(folder.name + ".rays"))
     manifest = json_format.Parse((folder / "manifest.json").read_text(), BundleManifest())
     manifest.secondary_rays.origin_offset = SCENE.origin_offset
-    files = transport_files(transport, manifest, tier="full")
-    files["mesh/asset.glb"] = glb(mesh["vertices"], mesh["faces"], mesh["uv"])
+    files = transport_files(transport, manifest)
+    write_mesh(folder, *boxes_surface(SCENE, 16), manifest)
     for path, data in files.items():
         (folder / path).parent.mkdir(exist_ok=True)
         (folder / path).write_bytes(data)

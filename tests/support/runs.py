@@ -179,8 +179,8 @@ def staged(folder: Path, **settings: Any) -> Iterator[Stage]:
 
 
 @contextlib.contextmanager
-def refused(code: grpc.StatusCode) -> Iterator[None]:
+def refused(code: grpc.StatusCode) -> Iterator[pytest.ExceptionInfo[grpc.RpcError]]:
     """Expect a call to be answered with this status."""
     with pytest.raises(grpc.RpcError) as caught:
-        yield
+        yield caught
     assert caught.value.code() == code, caught.value

@@ -100,7 +100,7 @@ def write_result(order: Order, num_steps: int) -> Path:
     (bundle / "models").mkdir(parents=True)
     weights = bytes(range(256)) * 40
     (bundle / "models" / "weights.bin").write_bytes(weights)
-    manifest = bundle_pb2.BundleManifest(schema_version="1.0", scene_id=order.spec.scene_id, name="sleep")
+    manifest = bundle_pb2.BundleManifest(schema_version="1", scene_id=order.spec.scene_id, name="sleep")
     manifest.generator.train_step = num_steps
     manifest.files.add(
         path="models/weights.bin",

@@ -1,12 +1,10 @@
 """GLB files of a stranger: damaged on purpose."""
 
 import copy
-import json
-import struct
 from typing import Any
 
 import numpy as np
-from lambent_relight.baked.mesh import glb_chunks
+from lambent_relight.baked.mesh import glb_chunks, glb_of
 
 _VALUES = ("a", None, [], {}, ["a"], -1, 0, 7, 1.5, 1 << 70, 1e300, True)
 
@@ -14,11 +12,7 @@ _VALUES = ("a", None, [], {}, ["a"], -1, 0, 7, 1.5, 1 << 70, 1e300, True)
 def with_document(data: bytes, document: Any) -> bytes:
     """Return the GLB with another JSON chunk."""
     _, payload = glb_chunks(data)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
-    chunks += struct.pack("<II", len(payload), 0x004E4942) + payload
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+    return glb_of(document, payload)
 
 
 def spoilt_glb(data: bytes, rng: np.random.Generator) -> bytes:

@@ -109,7 +109,7 @@ def write_fixture(folder: Path) -> None:
 
 
 def _write_golden(folder: Path) -> None:
-    """Copy the golden bundles with baked transport, their light, and the pictures that were stored with them.
+    """Copy the golden bundles, their light, and the pictures that were stored with them.
 
     golden.json names, for each, the file, its camera, and RGBA bytes of the `baked` picture.
     """
@@ -118,12 +118,9 @@ def _write_golden(folder: Path) -> None:
     listed = []
     for path in sorted(GOLDEN.glob("*.json")):
         stored = json.loads(path.read_text())
-        if "baked" not in stored["rgb"]:
-            continue
         name = path.name.removesuffix(".json")
         shutil.copy(path.with_name(f"{name}.relight.zip"), folder / "golden")
-        opacity = stored["opacity"]
-        opacity = np.array(opacity["baked"] if isinstance(opacity, dict) else opacity)[..., None]
+        opacity = np.array(stored["opacity"]["baked"])[..., None]
         straight = np.array(stored["rgb"]["baked"]) / np.maximum(opacity, 1e-3)
         values = np.concatenate([srgb_from_linear(np.clip(straight, 0.0, 1.0)), opacity], axis=-1)
         (folder / "golden" / f"{name}.rgba").write_bytes(np.round(255.0 * values).astype(np.uint8).tobytes())

@@ -10,7 +10,6 @@ from typing import Any
 
 from flashcache.data.ray_batches import PixelChoice
 from flashcache.data.space import SpaceConfig
-from flashcache.earlier import REMOVED, check_removed, in_steps, with_sizes
 from flashcache.errors import ConfigError
 from flashcache.losses.clusters import ClusterConfig
 from flashcache.losses.metalness import MetalnessPriorConfig
@@ -204,7 +203,6 @@ class EvaluationConfig:
             raise ConfigError(f"evaluation.antialias must be at least 1, got {self.antialias}")
 
 
-DEFAULT_TRANSPORT_SIZE = 512
 SIZE_STEP = 16
 """Texels: levels of detail have a half and a quarter of a size, and compressed ones blocks of 4 x 4."""
 
@@ -224,7 +222,7 @@ class ExportConfig:
     atlas_size: int = 0
     """Texels along each side of the albedo texture, a multiple of 16 from `transport_size` to 8192; 0: as
     many as the photographs have pixels on the surface, a power of two from 1024 to 4096 (lite: 1024)."""
-    transport_size: int = DEFAULT_TRANSPORT_SIZE
+    transport_size: int = 512
     """Texels along each side of the same atlas for baked transport, roughness, metalness and normals, whose
     detail is the model's, a multiple of 16; fewer where charts fill the atlas, so that files keep their
     size."""
@@ -313,23 +311,17 @@ def from_dict(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
     """Return a configuration from `to_dict`'s values; raises `ConfigError` on unknown or ill-typed ones."""
     hints = typing.get_type_hints(cls)
     names = {item.name for item in dataclasses.fields(cls)}  # type: ignore[arg-type]
-    if cls is ExportConfig and "atlas_size" in values and "transport_size" not in values:
-        values = with_sizes(values, DEFAULT_TRANSPORT_SIZE, step=SIZE_STEP)
     for name in values:
-        if path + name in REMOVED:
-            check_removed(path + name, values[name])
-        elif name not in names:
+        if name not in names:
             raise ConfigError(f"unknown setting {path + name!r}; known here: {', '.join(sorted(names))}")
-    return cls(**{name: _convert(hints[name], values[name], path + name) for name in values if name in names})
+    return cls(**{name: _convert(hints[name], values[name], path + name) for name in values})
 
 
-def with_overrides(config: Config, overrides: Mapping[str, str], *, size_step: int = 1) -> Config:
+def with_overrides(config: Config, overrides: Mapping[str, str]) -> Config:
     """Return `config` with settings changed by dotted path, as `--set stage_one.num_rays=512` does.
 
     Values are JSON, or bare words for strings. `export.atlas_size` alone is, where it is smaller, the size of
-    transport too, as in earlier releases. Sizes of textures among them are rounded down to multiples of
-    `size_step`: `SIZE_STEP` takes those of earlier releases, which are refused otherwise. Raises
-    `ConfigError` naming the setting.
+    transport too. Raises `ConfigError` naming the setting.
     """
     values = to_dict(config)
     for path, text in overrides.items():
@@ -347,10 +339,9 @@ def with_overrides(config: Config, overrides: Mapping[str, str], *, size_step: i
             node[last] = json.loads(text)
         except json.JSONDecodeError:
             node[last] = text
-    sizes = [name for name in ("atlas_size", "transport_size") if f"export.{name}" in overrides]
-    values["export"] = in_steps(values["export"], sizes, size_step)
-    if sizes == ["atlas_size"]:
-        values["export"] = with_sizes(values["export"], config.export.transport_size)
+    size = values["export"]["atlas_size"]
+    if "export.transport_size" not in overrides and type(size) is int and size > 0:
+        values["export"]["transport_size"] = min(size, config.export.transport_size)
     return from_dict(Config, values)
 
 

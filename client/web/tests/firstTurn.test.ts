@@ -32,7 +32,7 @@ describe("the turn of a light that nobody has turned", () => {
     expect(toParameters(initialState).has("rotate")).toBe(false);
     const unturned = { ...initialState, turn: { ...initialState.turn } };
     expect(toParameters(unturned).get("rotate")).toBe("0,0,0");
-    expect(fromParameters(new URLSearchParams("v=2&env=preset:sky")).turn).toBe(initialState.turn);
+    expect(fromParameters(new URLSearchParams("env=preset:sky")).turn).toBe(initialState.turn);
     const read = fromParameters(toParameters(unturned)).turn;
     expect(read).toEqual(initialState.turn);
     expect(read).not.toBe(initialState.turn);

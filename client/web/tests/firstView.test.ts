@@ -15,7 +15,13 @@ const ball = ballOf(boundsMin, boundsMax);
 const positionsXyz = Float32Array.from(
   [-1, 3].flatMap((x) => [2, 3].flatMap((y) => [0, 0.5].flatMap((z) => [x, y, z]))),
 );
-const mesh = { positionsXyz, uv: new Float32Array(16), indices: new Uint32Array(0), frames: null };
+const mesh = {
+  positionsXyz,
+  uv: new Float32Array(16),
+  indices: new Uint32Array(0),
+  normalsXyz: new Float32Array(24),
+  tangentsXyzw: new Float32Array(32),
+};
 
 /** A camera at some angles around the middle of the box. */
 function camera(azimuthDeg: number, elevationDeg: number): PhotoCamera {

@@ -149,7 +149,7 @@ function smallCache(change: (tensors: Map<string, number[]>) => void = () => {})
   };
   const manifest = create(BundleManifestSchema, {
     tensors,
-    grids: [{ ...grid, outputScale: 1, levels: [level] }],
+    grids: [{ ...grid, levels: [level] }],
   });
   return { manifest, weights: new Uint8Array(offsetBytes + 512) };
 }
@@ -202,7 +202,7 @@ describe("the fused reader", () => {
     [3, "[(index + 0u) % 2u]"],
   ])("reads halves of %i features from pairs", (numFeatures, text) => {
     const levels = [{ resolution: 4, firstRow: 0, numRows: 64, multiplierY: 4, multiplierZ: 16 }];
-    const grid = { firstWord: 7, halves: true, numFeatures, halfExtent: 1, outputScale: 1, levels };
+    const grid = { firstWord: 7, halves: true, numFeatures, halfExtent: 1, levels };
     expect(gridFunction("features", grid, "a")).toContain(text);
   });
 });

@@ -20,9 +20,7 @@ const transport = (size: number, rows: number): PackedTransport => ({
   direct: table(rows),
   visibility: table(1),
   indirect: table(1),
-  material: table(1),
   coarseOfTexel: new Uint32Array(tableWidth),
-  shadowBits: null,
 });
 
 const closed: number[] = [];
@@ -82,11 +80,11 @@ describe("a picture beyond what the graphics card takes", () => {
       packed: picture(512, 512),
       normal: picture(512, 512),
     } as MaterialMaps;
-    const whole = new BundleTextures(transport(16, 1), null, maps, true, 4096);
-    expect((whole.albedoMap!.image as ImageBitmap).width).toBe(4096);
-    const reduced = new BundleTextures(transport(16, 1), null, maps, true, 2048);
-    expect((reduced.albedoMap!.image as ImageBitmap).width).toBe(2048);
-    expect((reduced.normalMap!.image as ImageBitmap).width).toBe(512);
+    const whole = new BundleTextures(transport(16, 1), null, maps, 4096);
+    expect((whole.albedoMap.image as ImageBitmap).width).toBe(4096);
+    const reduced = new BundleTextures(transport(16, 1), null, maps, 2048);
+    expect((reduced.albedoMap.image as ImageBitmap).width).toBe(2048);
+    expect((reduced.normalMap.image as ImageBitmap).width).toBe(512);
     closed.length = 0;
     reduced.dispose();
     expect(closed.sort()).toEqual([2048, 512, 512]);

@@ -3,54 +3,11 @@ import { followAddress } from "../src/viewer/addressBar.js";
 import { missingText, uploadMap } from "../src/viewer/copyLink.js";
 import { addressText } from "../src/viewer/lightTexts.js";
 import { type Linked, linkOf, missingOf } from "../src/viewer/links.js";
-import { firstState, flat, fromParameters, initialState, toParameters } from "../src/viewer/state.js";
+import { initialState } from "../src/viewer/state.js";
 import type { Api } from "../src/page/rest.js";
-import { version1 } from "../src/viewer/versions.js";
 import type { Viewer } from "../src/viewer/viewer.js";
 
 const page = "https://host/viewer.html";
-
-describe("addresses of version 1, which have no version", () => {
-  it("mean what they have always meant", () => {
-    // Written down when version 2 began; links that people keep rely on every one of these.
-    expect(flat(version1)).toEqual({
-      env: "",
-      rotate: "0,0,0",
-      intensity: "1",
-      channel: "final",
-      tone: "neutral",
-      ev: "0",
-      auto: "0",
-      background: "blurred",
-      colour: "0.93,0.93,0.93",
-      gain: "1,1,1",
-      roughness: "1",
-      metalness: "0",
-      indirect: "1",
-      ground: "0",
-      camera: "30,20,3.2,0,0,0",
-      free: "0",
-      compare: "off",
-      envB: "preset:studio",
-      split: "0.5",
-      photo: "",
-      refine: "0",
-    });
-    const old = fromParameters(new URLSearchParams("src=a/&env=preset:sky&rotate=40,0,0"));
-    expect(old).toEqual({
-      ...version1,
-      environment: "preset:sky",
-      turn: { ...version1.turn, yawDeg: 40 },
-    });
-  });
-  it("are told from those of today, and from those that say nothing of the view", () => {
-    const first = (text: string) => firstState(new URLSearchParams(text));
-    expect(first("env=preset:sky")).toBe(version1);
-    expect(first("v=2&env=preset:sky")).toBe(initialState);
-    expect(first("src=bowl/")).toBe(initialState);
-    expect(toParameters(initialState).get("v")).toBe("2");
-  });
-});
 
 describe("a link", () => {
   const linked = (url: string | null, environment = "preset:sky"): Linked => ({
@@ -59,24 +16,22 @@ describe("a link", () => {
   });
   it("keeps the bundle's address as it was written, and takes the one that is shown now", () => {
     const before = `${page}#src=bowl/&env=preset:even&ev=3`;
-    expect(linkOf(linked("https://host/bowl/"), before, true)).toBe(
-      `${page}#v=2&env=preset%3Asky&src=bowl%2F`,
-    );
+    expect(linkOf(linked("https://host/bowl/"), before, true)).toBe(`${page}#env=preset%3Asky&src=bowl%2F`);
     expect(linkOf(linked("https://host/cup/"), before, true)).toContain("src=https%3A%2F%2Fhost%2Fcup%2F");
     expect(linkOf(linked("https://host/bowl/"), `${page}?src=bowl/`, true)).toBe(
-      `${page}#v=2&env=preset%3Asky&src=bowl%2F`,
+      `${page}#env=preset%3Asky&src=bowl%2F`,
     );
   });
   it("to a page of someone else names no bundle, and to that of a share link keeps its secret in front", () => {
     const view = linked("https://host/v1/bundles/b#share_1.ab");
     expect(linkOf(view, "https://shop/cup.html#reviews", false)).toBe(
-      "https://shop/cup.html#v=2&env=preset%3Asky",
+      "https://shop/cup.html#env=preset%3Asky",
     );
     const shared = "https://host/embed/share_1#share_1.ab";
-    expect(linkOf(view, `${shared}&ev=3`, true)).toBe(`${shared}&v=2&env=preset%3Asky`);
+    expect(linkOf(view, `${shared}&ev=3`, true)).toBe(`${shared}&env=preset%3Asky`);
   });
   it("names no bundle where that is on this computer only", () => {
-    expect(linkOf(linked(null), `${page}#src=bowl/`, true)).toBe(`${page}#v=2&env=preset%3Asky`);
+    expect(linkOf(linked(null), `${page}#src=bowl/`, true)).toBe(`${page}#env=preset%3Asky`);
     expect(missingOf(linked(null))).toEqual({ bundle: true, maps: [] });
   });
   it("cannot carry maps on this computer", () => {

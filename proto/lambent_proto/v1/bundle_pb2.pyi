@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class BundleManifest(_message.Message):
-    __slots__ = ("schema_version", "scene_id", "name", "created_at", "generator", "preset", "train_lights", "world", "bounds", "primary_rays", "secondary_rays", "files", "graphs", "grids", "tensors", "albedo_scale_rgb", "metrics", "uncertainty", "atlas", "transport", "mesh_levels", "given_mesh")
+    __slots__ = ("schema_version", "scene_id", "name", "created_at", "generator", "preset", "train_lights", "world", "bounds", "secondary_rays", "files", "graphs", "grids", "tensors", "albedo_scale_rgb", "metrics", "uncertainty", "atlas", "transport", "mesh_levels", "given_mesh")
     class MetricsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -25,7 +25,6 @@ class BundleManifest(_message.Message):
     TRAIN_LIGHTS_FIELD_NUMBER: _ClassVar[int]
     WORLD_FIELD_NUMBER: _ClassVar[int]
     BOUNDS_FIELD_NUMBER: _ClassVar[int]
-    PRIMARY_RAYS_FIELD_NUMBER: _ClassVar[int]
     SECONDARY_RAYS_FIELD_NUMBER: _ClassVar[int]
     FILES_FIELD_NUMBER: _ClassVar[int]
     GRAPHS_FIELD_NUMBER: _ClassVar[int]
@@ -47,7 +46,6 @@ class BundleManifest(_message.Message):
     train_lights: _containers.RepeatedScalarFieldContainer[str]
     world: World
     bounds: _scene_pb2.Bounds
-    primary_rays: _scene_pb2.RayRange
     secondary_rays: SecondaryRays
     files: _containers.RepeatedCompositeFieldContainer[BundleFile]
     graphs: _containers.RepeatedCompositeFieldContainer[Graph]
@@ -60,7 +58,7 @@ class BundleManifest(_message.Message):
     transport: Transport
     mesh_levels: _containers.RepeatedCompositeFieldContainer[MeshLevel]
     given_mesh: GivenMesh
-    def __init__(self, schema_version: _Optional[str] = ..., scene_id: _Optional[str] = ..., name: _Optional[str] = ..., created_at: _Optional[str] = ..., generator: _Optional[_Union[Generator, _Mapping]] = ..., preset: _Optional[str] = ..., train_lights: _Optional[_Iterable[str]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., bounds: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., primary_rays: _Optional[_Union[_scene_pb2.RayRange, _Mapping]] = ..., secondary_rays: _Optional[_Union[SecondaryRays, _Mapping]] = ..., files: _Optional[_Iterable[_Union[BundleFile, _Mapping]]] = ..., graphs: _Optional[_Iterable[_Union[Graph, _Mapping]]] = ..., grids: _Optional[_Iterable[_Union[Grid, _Mapping]]] = ..., tensors: _Optional[_Iterable[_Union[TensorEntry, _Mapping]]] = ..., albedo_scale_rgb: _Optional[_Iterable[float]] = ..., metrics: _Optional[_Mapping[str, float]] = ..., uncertainty: _Optional[_Union[Uncertainty, _Mapping]] = ..., atlas: _Optional[_Union[Atlas, _Mapping]] = ..., transport: _Optional[_Union[Transport, _Mapping]] = ..., mesh_levels: _Optional[_Iterable[_Union[MeshLevel, _Mapping]]] = ..., given_mesh: _Optional[_Union[GivenMesh, _Mapping]] = ...) -> None: ...
+    def __init__(self, schema_version: _Optional[str] = ..., scene_id: _Optional[str] = ..., name: _Optional[str] = ..., created_at: _Optional[str] = ..., generator: _Optional[_Union[Generator, _Mapping]] = ..., preset: _Optional[str] = ..., train_lights: _Optional[_Iterable[str]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., bounds: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., secondary_rays: _Optional[_Union[SecondaryRays, _Mapping]] = ..., files: _Optional[_Iterable[_Union[BundleFile, _Mapping]]] = ..., graphs: _Optional[_Iterable[_Union[Graph, _Mapping]]] = ..., grids: _Optional[_Iterable[_Union[Grid, _Mapping]]] = ..., tensors: _Optional[_Iterable[_Union[TensorEntry, _Mapping]]] = ..., albedo_scale_rgb: _Optional[_Iterable[float]] = ..., metrics: _Optional[_Mapping[str, float]] = ..., uncertainty: _Optional[_Union[Uncertainty, _Mapping]] = ..., atlas: _Optional[_Union[Atlas, _Mapping]] = ..., transport: _Optional[_Union[Transport, _Mapping]] = ..., mesh_levels: _Optional[_Iterable[_Union[MeshLevel, _Mapping]]] = ..., given_mesh: _Optional[_Union[GivenMesh, _Mapping]] = ...) -> None: ...
 
 class GivenMesh(_message.Message):
     __slots__ = ("name", "sha256", "kept_uv", "share_from_model")
@@ -111,20 +109,18 @@ class World(_message.Message):
     def __init__(self, up_axis: _Optional[str] = ..., handedness: _Optional[str] = ..., unit: _Optional[str] = ..., environment_convention: _Optional[str] = ..., radiance: _Optional[str] = ...) -> None: ...
 
 class Atlas(_message.Message):
-    __slots__ = ("size", "num_texels", "texel_size", "material_size", "albedo_source", "unseen_path")
+    __slots__ = ("size", "texel_size", "material_size", "albedo_source", "unseen_path")
     SIZE_FIELD_NUMBER: _ClassVar[int]
-    NUM_TEXELS_FIELD_NUMBER: _ClassVar[int]
     TEXEL_SIZE_FIELD_NUMBER: _ClassVar[int]
     MATERIAL_SIZE_FIELD_NUMBER: _ClassVar[int]
     ALBEDO_SOURCE_FIELD_NUMBER: _ClassVar[int]
     UNSEEN_PATH_FIELD_NUMBER: _ClassVar[int]
     size: int
-    num_texels: int
     texel_size: float
     material_size: int
     albedo_source: str
     unseen_path: str
-    def __init__(self, size: _Optional[int] = ..., num_texels: _Optional[int] = ..., texel_size: _Optional[float] = ..., material_size: _Optional[int] = ..., albedo_source: _Optional[str] = ..., unseen_path: _Optional[str] = ...) -> None: ...
+    def __init__(self, size: _Optional[int] = ..., texel_size: _Optional[float] = ..., material_size: _Optional[int] = ..., albedo_source: _Optional[str] = ..., unseen_path: _Optional[str] = ...) -> None: ...
 
 class SecondaryRays(_message.Message):
     __slots__ = ("origin_offset", "near", "far")
@@ -137,18 +133,16 @@ class SecondaryRays(_message.Message):
     def __init__(self, origin_offset: _Optional[float] = ..., near: _Optional[float] = ..., far: _Optional[float] = ...) -> None: ...
 
 class BundleFile(_message.Message):
-    __slots__ = ("path", "size_bytes", "sha256", "media_type", "role")
+    __slots__ = ("path", "size_bytes", "sha256", "role")
     PATH_FIELD_NUMBER: _ClassVar[int]
     SIZE_BYTES_FIELD_NUMBER: _ClassVar[int]
     SHA256_FIELD_NUMBER: _ClassVar[int]
-    MEDIA_TYPE_FIELD_NUMBER: _ClassVar[int]
     ROLE_FIELD_NUMBER: _ClassVar[int]
     path: str
     size_bytes: float
     sha256: str
-    media_type: str
     role: str
-    def __init__(self, path: _Optional[str] = ..., size_bytes: _Optional[float] = ..., sha256: _Optional[str] = ..., media_type: _Optional[str] = ..., role: _Optional[str] = ...) -> None: ...
+    def __init__(self, path: _Optional[str] = ..., size_bytes: _Optional[float] = ..., sha256: _Optional[str] = ..., role: _Optional[str] = ...) -> None: ...
 
 class Graph(_message.Message):
     __slots__ = ("name", "path", "light", "parity", "rounding")
@@ -187,40 +181,36 @@ class Uncertainty(_message.Message):
     def __init__(self, path: _Optional[str] = ..., box: _Optional[_Union[_scene_pb2.Bounds, _Mapping]] = ..., channels: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class Transport(_message.Message):
-    __slots__ = ("tier", "size", "num_texels", "texels_path", "planes", "shadow_bits_path", "num_shadow_directions")
-    TIER_FIELD_NUMBER: _ClassVar[int]
+    __slots__ = ("size", "num_texels", "texels_path", "planes", "shadow_bits_path", "num_shadow_directions")
     SIZE_FIELD_NUMBER: _ClassVar[int]
     NUM_TEXELS_FIELD_NUMBER: _ClassVar[int]
     TEXELS_PATH_FIELD_NUMBER: _ClassVar[int]
     PLANES_FIELD_NUMBER: _ClassVar[int]
     SHADOW_BITS_PATH_FIELD_NUMBER: _ClassVar[int]
     NUM_SHADOW_DIRECTIONS_FIELD_NUMBER: _ClassVar[int]
-    tier: str
     size: int
     num_texels: int
     texels_path: str
     planes: _containers.RepeatedCompositeFieldContainer[TransportPlanes]
     shadow_bits_path: str
     num_shadow_directions: int
-    def __init__(self, tier: _Optional[str] = ..., size: _Optional[int] = ..., num_texels: _Optional[int] = ..., texels_path: _Optional[str] = ..., planes: _Optional[_Iterable[_Union[TransportPlanes, _Mapping]]] = ..., shadow_bits_path: _Optional[str] = ..., num_shadow_directions: _Optional[int] = ...) -> None: ...
+    def __init__(self, size: _Optional[int] = ..., num_texels: _Optional[int] = ..., texels_path: _Optional[str] = ..., planes: _Optional[_Iterable[_Union[TransportPlanes, _Mapping]]] = ..., shadow_bits_path: _Optional[str] = ..., num_shadow_directions: _Optional[int] = ...) -> None: ...
 
 class TransportPlanes(_message.Message):
-    __slots__ = ("name", "path", "bands", "channels", "num_texels", "scales", "offsets")
+    __slots__ = ("name", "path", "bands", "channels", "scales", "offsets")
     NAME_FIELD_NUMBER: _ClassVar[int]
     PATH_FIELD_NUMBER: _ClassVar[int]
     BANDS_FIELD_NUMBER: _ClassVar[int]
     CHANNELS_FIELD_NUMBER: _ClassVar[int]
-    NUM_TEXELS_FIELD_NUMBER: _ClassVar[int]
     SCALES_FIELD_NUMBER: _ClassVar[int]
     OFFSETS_FIELD_NUMBER: _ClassVar[int]
     name: str
     path: str
     bands: int
     channels: int
-    num_texels: int
     scales: _containers.RepeatedScalarFieldContainer[float]
     offsets: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, name: _Optional[str] = ..., path: _Optional[str] = ..., bands: _Optional[int] = ..., channels: _Optional[int] = ..., num_texels: _Optional[int] = ..., scales: _Optional[_Iterable[float]] = ..., offsets: _Optional[_Iterable[float]] = ...) -> None: ...
+    def __init__(self, name: _Optional[str] = ..., path: _Optional[str] = ..., bands: _Optional[int] = ..., channels: _Optional[int] = ..., scales: _Optional[_Iterable[float]] = ..., offsets: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Parity(_message.Message):
     __slots__ = ("max_abs_error", "tolerance", "num_samples")
@@ -233,20 +223,18 @@ class Parity(_message.Message):
     def __init__(self, max_abs_error: _Optional[float] = ..., tolerance: _Optional[float] = ..., num_samples: _Optional[int] = ...) -> None: ...
 
 class Grid(_message.Message):
-    __slots__ = ("name", "tensor", "num_features", "half_extent", "output_scale", "levels")
+    __slots__ = ("name", "tensor", "num_features", "half_extent", "levels")
     NAME_FIELD_NUMBER: _ClassVar[int]
     TENSOR_FIELD_NUMBER: _ClassVar[int]
     NUM_FEATURES_FIELD_NUMBER: _ClassVar[int]
     HALF_EXTENT_FIELD_NUMBER: _ClassVar[int]
-    OUTPUT_SCALE_FIELD_NUMBER: _ClassVar[int]
     LEVELS_FIELD_NUMBER: _ClassVar[int]
     name: str
     tensor: str
     num_features: int
     half_extent: float
-    output_scale: float
     levels: _containers.RepeatedCompositeFieldContainer[GridLevel]
-    def __init__(self, name: _Optional[str] = ..., tensor: _Optional[str] = ..., num_features: _Optional[int] = ..., half_extent: _Optional[float] = ..., output_scale: _Optional[float] = ..., levels: _Optional[_Iterable[_Union[GridLevel, _Mapping]]] = ...) -> None: ...
+    def __init__(self, name: _Optional[str] = ..., tensor: _Optional[str] = ..., num_features: _Optional[int] = ..., half_extent: _Optional[float] = ..., levels: _Optional[_Iterable[_Union[GridLevel, _Mapping]]] = ...) -> None: ...
 
 class GridLevel(_message.Message):
     __slots__ = ("resolution", "first_row", "num_rows", "multiplier_y", "multiplier_z")

@@ -40,10 +40,7 @@ Settings = Annotated[
 
 
 def odd_size(settings: dict[str, str]) -> str | None:
-    """Return the name of a texture's size that no run can make as it is asked for, or None.
-
-    Other values are left to the run: only a number is one that a run of an earlier release would have taken.
-    """
+    """Return the name of a texture's size that no run can make, or None; other values are left to the run."""
     return next((name for name in SIZES if _is_odd(settings.get(name, ""))), None)
 
 

@@ -151,11 +151,7 @@ def submit_once(
     digest: str,
     maker: Maker = NOBODY,
 ) -> Row:
-    """Add a job to the queue, or return the one that was submitted earlier with this key.
-
-    Sizes that runs round are refused here, where somebody asks for them, and not when a job of an earlier
-    release is tried again.
-    """
+    """Add a job to the queue, or return the one that was submitted earlier with this key."""
     job_id = new_id("job")
     known = made_before(connection, tenant, key, digest, job_id)
     if known is not None:

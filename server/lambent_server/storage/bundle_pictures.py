@@ -26,7 +26,8 @@ def pictures(
 ) -> dict[str, Any]:
     """Return the file that stands for each bundle that has one: path, hash and size.
 
-    That is the first of `posters`, or in bundles from before there were any the first rendering of a view.
+    That is the first of `posters`, or the first rendering of a view in bundles without any, which have no
+    baked transport.
     """
     path = bundle_files.c.path
     renderings = (path.like("preview/%.png")) & (path.not_like("preview/photo\\_%", escape="\\"))

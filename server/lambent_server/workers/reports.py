@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from google.protobuf.json_format import MessageToJson, Parse, ParseError
+from lambent_proto import BUNDLE_VERSION
 from lambent_proto.v1 import bundle_pb2, job_pb2, worker_pb2
 from sqlalchemy import Connection, Table, insert
 
@@ -289,9 +290,16 @@ def _check_manifest(request: worker_pb2.PublishRequest, store: BlobStore) -> bun
     if manifest_file is None:
         raise Problem(422, "bundle_manifest", "a bundle needs a manifest.json")
     try:
-        manifest = Parse(store.read_all(manifest_file.sha256), bundle_pb2.BundleManifest())
+        text = store.read_all(manifest_file.sha256)
+        manifest = Parse(text, bundle_pb2.BundleManifest(), ignore_unknown_fields=True)
     except (ParseError, UnicodeDecodeError) as error:
         raise Problem(422, "bundle_manifest", f"manifest.json is not a BundleManifest: {error}") from error
+    if manifest.schema_version != BUNDLE_VERSION:
+        detail = (
+            f"the bundle has format version {manifest.schema_version[:32]!r}, this server takes version "
+            f"{BUNDLE_VERSION!r} alone; install the same release of Lambent on server and workers"
+        )
+        raise invalid("bundle_version", "#/schema_version", detail)
     described = {file.path: file.sha256 for file in manifest.files}
     if described != {path: file.sha256 for path, file in given.items()}:
         different = sorted(set(described) ^ set(given)) or sorted(

@@ -12,42 +12,6 @@ def test_a_configuration_survives_json(name: str):
     assert from_dict(Config, json.loads(json.dumps(to_dict(config)))) == config
 
 
-REMOVED_GROUP = {"error_share": 0.0, "block": 64, "memory": 0.9}
-
-
-def with_removed(**two: object) -> dict:
-    values = to_dict(preset("tiny"))
-    return values | {"stage_two": values["stage_two"] | two}
-
-
-def test_an_earlier_releases_settings_are_read_where_they_did_nothing():
-    values = with_removed(weight_gradient=0.0, budget=REMOVED_GROUP)
-    values["model"]["nerf"]["antialias"] = "none"
-    assert from_dict(Config, values) == preset("tiny")
-
-
-@pytest.mark.parametrize(
-    "two", [{"weight_gradient": 1.0}, {"budget": REMOVED_GROUP | {"error_share": 0.4}}, {"budget": 0.0}]
-)
-def test_a_removed_setting_that_had_an_effect_is_refused(two: dict):
-    with pytest.raises(ConfigError, match=rf"stage_two\.{next(iter(two))}' was removed"):
-        from_dict(Config, with_removed(**two))
-
-
-OLD = ("atlas_size", "transport_size")
-
-
-@pytest.mark.parametrize(
-    ("old", "sizes"), [(512, (512, 512)), (128, (128, 128)), (2048, (2048, 512)), (500, (496, 496))]
-)
-def test_a_run_of_a_release_with_one_size_for_albedo_and_transport_is_read(old: int, sizes: tuple[int, int]):
-    values = to_dict(preset("fast"))
-    values["export"] = {name: value for name, value in values["export"].items() if name not in OLD}
-    values["export"]["atlas_size"] = old
-    found = from_dict(Config, values).export
-    assert (found.atlas_size, found.transport_size) == sizes
-
-
 @pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.parametrize("old", [64, 512, 2048])
 def test_a_job_that_states_only_the_size_of_the_albedo_runs_with_every_preset(name: str, old: int):

@@ -11,6 +11,7 @@ from flashcache.export.onnx import WEIGHTS_NAME, WeightFile
 from flashcache.export.reference import GbufferRule
 from flashcache.export.stored_grids import exported_grids
 from flashcache.physical.model import InverseModel
+from lambent_proto import BUNDLE_VERSION
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight.bundle.bundle import NETWORKS
 
@@ -39,7 +40,7 @@ def write_graphs(
     """
     weights = WeightFile(half_tables=trained is not None)
     metadata = {
-        "flashcache.schema": manifests.SCHEMA_VERSION,
+        "flashcache.schema": BUNDLE_VERSION,
         "flashcache.scene_id": manifest.scene_id,
         "flashcache.hash": "lattice-v1",
         "flashcache.grids": graphs.grid_metadata(model),

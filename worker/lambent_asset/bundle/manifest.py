@@ -13,26 +13,26 @@ from flashcache.export.onnx import WeightFile
 from flashcache.export.stored_grids import StoredGrid
 from flashcache.physical.model import InverseModel
 from lambent_core.messages import message_to_dict
+from lambent_proto import BUNDLE_VERSION
 from lambent_proto.v1 import bundle_pb2
+from lambent_relight.bundle.uncertainty import PATH, UncertaintyGrid
 
 from lambent_asset.bundle.parity import TOLERANCE, ParityResult
 from lambent_asset.mesh.mesh import Corner
 
-SCHEMA_VERSION = "1.3"
-
-# Media type and role by folder and suffix.
-_KINDS = {
-    ("models", ".onnx"): ("application/octet-stream", "graph"),
-    ("models", ".bin"): ("application/octet-stream", "weights"),
-    ("mesh", ".glb"): ("model/gltf-binary", "mesh"),
-    ("mesh", ".png"): ("image/png", "mask"),
-    ("mesh", ".usdz"): ("model/vnd.usdz+zip", "mesh"),
-    ("transport", ".bin"): ("application/octet-stream", "transport"),
-    ("env", ".exr"): ("image/x-exr", "environment"),
-    ("", ".json"): ("application/json", "cameras"),
-    ("", ".webp"): ("image/webp", "poster"),
-    ("preview", ".png"): ("image/png", "preview"),
-    ("uncertainty", ".npy"): ("application/octet-stream", "uncertainty"),
+# By folder and suffix.
+_ROLES = {
+    ("models", ".onnx"): "graph",
+    ("models", ".bin"): "weights",
+    ("mesh", ".glb"): "mesh",
+    ("mesh", ".png"): "mask",
+    ("mesh", ".usdz"): "mesh",
+    ("transport", ".bin"): "transport",
+    ("env", ".exr"): "environment",
+    ("", ".json"): "cameras",
+    ("", ".webp"): "poster",
+    ("preview", ".png"): "preview",
+    ("uncertainty", ".npy"): "uncertainty",
 }
 
 
@@ -41,7 +41,7 @@ def new_manifest(
 ) -> bundle_pb2.BundleManifest:
     """Return a manifest of everything but lights, files, graphs, weights and metrics."""
     manifest = bundle_pb2.BundleManifest(
-        schema_version=SCHEMA_VERSION,
+        schema_version=BUNDLE_VERSION,
         scene_id=scene_id,
         name=name,
         created_at=datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
@@ -55,7 +55,6 @@ def new_manifest(
     world.environment_convention, world.radiance = "tensoir", "linear-rec709"
     manifest.bounds.minimum.extend(box[0])
     manifest.bounds.maximum.extend(box[1])
-    manifest.primary_rays.near, manifest.primary_rays.far = model.domain.primary
     manifest.secondary_rays.origin_offset = model.limits.origin_offset
     manifest.secondary_rays.near, manifest.secondary_rays.far = model.domain.secondary
     return manifest
@@ -95,23 +94,30 @@ def add_weights(
             tensor=f"{name}.table",
             num_features=layout.num_features,
             half_extent=layout.half_extent,
-            output_scale=1.0,
             levels=[bundle_pb2.GridLevel(**asdict(level)) for level in layout.levels],
         )
+
+
+def write_uncertainty(folder: Path, manifest: bundle_pb2.BundleManifest, grid: UncertaintyGrid) -> None:
+    """Write the grid below `folder` and say in the manifest where it is and what it covers."""
+    (folder / PATH).parent.mkdir(parents=True, exist_ok=True)
+    (folder / PATH).write_bytes(grid.to_bytes())
+    stated = manifest.uncertainty
+    stated.path = PATH
+    stated.channels.extend(grid.channels)
+    stated.box.minimum.extend(grid.low.tolist())
+    stated.box.maximum.extend(grid.high.tolist())
 
 
 def write_manifest(folder: Path, manifest: bundle_pb2.BundleManifest, paths: Sequence[str]) -> None:
     """Write manifest.json into `folder`, listing the files `paths` that lie in it."""
     for path in paths:
         data = (folder / path).read_bytes()
-        parent, suffix = path.rpartition("/")[0], Path(path).suffix
-        media_type, role = _KINDS[parent, suffix]
         manifest.files.add(
             path=path,
             size_bytes=len(data),
             sha256=hashlib.sha256(data).hexdigest(),
-            media_type=media_type,
-            role=role,
+            role=_ROLES[path.rpartition("/")[0], Path(path).suffix],
         )
     text = json.dumps(message_to_dict(manifest), indent=1)
     (folder / "manifest.json").write_text(text + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Compares an exported graph with the model it was exported from."""
+"""Compares an exported graph with the model it was exported from, whose tables may be stored as float16."""
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 import onnxruntime
 import torch
+from flashcache.encoding.hash_grid import HashGrid
 from flashcache.evaluation.threads import on_all_cores
+from flashcache.export.stored_grids import trained_grids
 from flashcache.kernels import dispatch
+from flashcache.physical.model import InverseModel
 from lambent_core.errors import WorkerError
 from lambent_proto.v1 import bundle_pb2
 from numpy.typing import NDArray
 from torch import nn
-
-from lambent_asset.textures.half_tables import rounding_of
 
 Inputs = Mapping[str, torch.Tensor]
 Twin = Callable[[Any, Inputs], Mapping[str, torch.Tensor]]
@@ -29,6 +30,10 @@ NUDGE = 5e-7
 MAX_LEFT_OUT = 0.01
 """Largest share of inputs that may be ignored because the function is too steep there for float32."""
 CHUNK_ROWS = 512
+MOST_ROUNDING = 1e-2
+"""Root mean square of an output's error up to which float16 tables are chosen, relative above 1."""
+_OWN = ("opacity", "radiance")
+"""Outputs whose error is not weighted; the others are weighted by opacity, below which they mean little."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -175,3 +180,40 @@ def _steepness(
                 nudged[:, axis] += step
                 moved.append(_largest_error(_twin(twin, exact_model, {**exact_inputs, key: nudged}), exact))
     return np.max(moved, axis=0)
+
+
+def with_half_tables(model: InverseModel) -> InverseModel:
+    """Return a copy of `model` whose exported feature tables hold float16 numbers, as float32."""
+    rounded = copy.deepcopy(model)
+    with torch.no_grad():
+        for grid in trained_grids(rounded):
+            if isinstance(grid, HashGrid):
+                grid.fold_scale()
+            grid.table.copy_(grid.table.half().float())
+    return rounded
+
+
+def fits_half(model: InverseModel) -> bool:
+    """Return whether every feature of the exported tables is inside float16's range."""
+    limit = torch.finfo(torch.float16).max
+    grids = trained_grids(model)
+    return all(bool((grid.output_scale * grid.table.abs() <= limit).all()) for grid in grids)
+
+
+def rounding_of(
+    rounded: Mapping[str, NDArray[np.floating]], exact: Mapping[str, NDArray[np.floating]]
+) -> list[bundle_pb2.Rounding]:
+    """Return the error of each output [row, n] with rounded tables relative to exact ones, by name.
+
+    Absolute below 1 and relative above. Errors of surface properties, normals and distances are multiplied by
+    the exact answer's opacity.
+    """
+    weight = exact.get("opacity", np.ones((1, 1)))
+    found = []
+    for name, wanted in sorted(exact.items()):
+        error = np.abs(rounded[name].astype(np.float64) - wanted) / np.maximum(1.0, np.abs(wanted))
+        error = error if name in _OWN else error * weight
+        rounding = bundle_pb2.Rounding(output=name, max_abs_error=error.max(), num_samples=len(error))
+        rounding.rms_error = np.sqrt((error**2).mean())
+        found.append(rounding)
+    return found

@@ -11,7 +11,7 @@ from flashcache.physical.model import InverseModel
 from lambent_core.scene import Camera
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight import cameras as relight_cameras
-from lambent_relight.baked.raster import block_means, nearest_texel, rasterise, rasterise_uv
+from lambent_relight.baked.raster import block_means, nearest_texel, rasterise
 from lambent_relight.baked.traced_surface import MESH_OFFSET
 from lambent_relight.bundle.archive import open_source
 from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
@@ -68,28 +68,42 @@ def write_asset(
         num_rays=config.occlusion_rays,
     )
     textures = bake_materials(model, surface, occlusion, albedo)
-    asset = write_glb(surface, textures, unit=manifest.world.unit)
-    check_glb(asset, surface)
-    (folder / ASSET_PATH).write_bytes(asset)
+    source = "model" if albedo is None else "photographs"
+    write_mesh(surface, textures, manifest, folder, source=source, usdz=config.usdz)
     # A lite bundle is fetched as a whole, by programs that show its mesh as it is.
     if config.transport_tier != "lite":
         write_levels(surface, textures, manifest, folder)
     write_unseen(surface, manifest, folder)
-    if config.usdz:
-        write_usdz(folder / USDZ_PATH, surface, textures)
-    size = len(textures.albedo)
-    covered = rasterise_uv(surface.uv, surface.faces, size).covered
-    manifest.atlas.size, manifest.atlas.num_texels = size, int(covered.sum())
-    manifest.atlas.texel_size = surface.texel_size * surface.size / size
-    manifest.atlas.material_size = surface.size
-    manifest.atlas.albedo_source = "model" if albedo is None else "photographs"
-    manifest.metrics["mesh_faces"] = len(surface.faces)
-    manifest.metrics["mesh_vertices"] = len(surface.vertices)
     manifest.metrics["mesh_simplification_error"] = surface.mesh_error
     health = mesh_health(surface.vertices, surface.faces)
     manifest.metrics["mesh_boundary_edges"] = health.boundary_edges
     manifest.metrics["mesh_non_manifold_edges"] = health.non_manifold_edges
     manifest.metrics["mesh_pieces"] = health.pieces
+
+
+def write_mesh(
+    surface: AtlasSurface,
+    textures: TextureSet,
+    manifest: bundle_pb2.BundleManifest,
+    folder: Path,
+    *,
+    source: str,
+    usdz: bool,
+) -> None:
+    """Write mesh/asset.glb, and .usdz if requested; state its atlas, whose albedo is from `source`.
+
+    Raises WorkerError where the file is not read back as it was meant.
+    """
+    asset = write_glb(surface, textures, unit=manifest.world.unit)
+    check_glb(asset, surface)
+    (folder / ASSET_PATH).write_bytes(asset)
+    if usdz:
+        write_usdz(folder / USDZ_PATH, surface, textures)
+    size, atlas = len(textures.albedo), manifest.atlas
+    atlas.size, atlas.material_size, atlas.albedo_source = size, surface.size, source
+    atlas.texel_size = surface.texel_size * surface.size / size
+    manifest.metrics["mesh_faces"] = len(surface.faces)
+    manifest.metrics["mesh_vertices"] = len(surface.vertices)
 
 
 def write_levels(

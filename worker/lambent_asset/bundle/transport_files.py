@@ -73,12 +73,10 @@ def baked_transport(
     return transport, figures
 
 
-def write_transport(
-    transport: Transport, manifest: bundle_pb2.BundleManifest, folder: Path, *, tier: str
-) -> None:
+def write_transport(transport: Transport, manifest: bundle_pb2.BundleManifest, folder: Path) -> None:
     """Write `transport` into `folder`/transport and describe it in `manifest`."""
     (folder / "transport").mkdir(exist_ok=True)
-    for path, data in transport_files(transport, manifest, tier=tier).items():
+    for path, data in transport_files(transport, manifest).items():
         (folder / path).write_bytes(data)
 
 

@@ -87,6 +87,6 @@ def write_given_transport(
         num_threads=available_threads(),
     )
     (folder / "transport").mkdir(exist_ok=True)
-    for path, data in transport_files(transport, manifest, tier=tier).items():
+    for path, data in transport_files(transport, manifest).items():
         (folder / path).write_bytes(data)
     manifest.metrics.update(figures)

@@ -2,7 +2,7 @@
 
 glTF is y up and in metres, which are scene units; the mesh is turned to z up. All meshes of the scene are
 joined, with the transforms of their nodes. Whatever cannot be taken over as it is meant is refused, but for
-what `GivenMesh.ignored` names.
+what `GivenMesh.ignored` names; a mesh library would read it (decision 0034).
 Source: glTF 2.0 specification, sections 3.5 (scenes), 3.7 (meshes), 3.9 (materials).
 """
 
@@ -17,6 +17,7 @@ from lambent_relight.asset.draco import DRACO, unpacked
 from lambent_relight.asset.glb import WEBP
 from lambent_relight.baked.mesh import UNREADABLE, glb_accessor, glb_chunks
 from numpy.typing import NDArray
+from trimesh.transformations import quaternion_matrix
 
 from lambent_asset.edited.glb_maps import Maps, maps_of
 
@@ -193,18 +194,9 @@ def _nodes(document: dict[str, Any]) -> Iterator[tuple[dict[str, Any], NDArray[n
 def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    x, y, z, w = np.array(node.get("rotation", (0.0, 0.0, 0.0, 1.0)), np.float64)
-    norm = x * x + y * y + z * z + w * w
-    s = 2.0 / norm if norm > 0.0 else 0.0
-    turn = np.array(
-        [
-            [1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
-            [s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)],
-            [s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)],
-        ]
-    )
-    matrix = np.eye(4)
-    matrix[:3, :3] = turn * np.array(node.get("scale", (1.0, 1.0, 1.0)), np.float64)
+    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+    matrix = quaternion_matrix([w, x, y, z])
+    matrix[:3, :3] *= np.array(node.get("scale", (1.0, 1.0, 1.0)), np.float64)
     matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
     return matrix
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from lambent_core.colour import linear_from_srgb
 from lambent_relight.asset.glb import WEBP
+from lambent_relight.baked.mesh import glb_view
 from lambent_relight.baked.raster import block_means
 from numpy.typing import NDArray
 from PIL import Image
@@ -172,12 +173,9 @@ def _picture(document: dict[str, Any], payload: bytes, slot: dict[str, Any]) -> 
     image = document["images"][source]
     if "bufferView" not in image:
         raise ValueError("a texture lies outside the file")
-    view = document["bufferViews"][image["bufferView"]]
-    start, size = view.get("byteOffset", 0), view["byteLength"]
-    if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
-        raise ValueError("a texture leaves the file")
+    data = glb_view(document, payload, image["bufferView"])
     try:
-        with Image.open(io.BytesIO(payload[start : start + size]), formats=_FORMATS) as opened:
+        with Image.open(io.BytesIO(data), formats=_FORMATS) as opened:
             if max(opened.size) > _MAX_SIDE:
                 raise ValueError(f"a texture of {opened.size[0]} x {opened.size[1]} pixels")
             return np.asarray(opened.convert("RGB"))

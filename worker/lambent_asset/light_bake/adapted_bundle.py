@@ -16,7 +16,6 @@ from lambent_relight.bundle.adapted import METADATA_KEY, AdaptedLight
 from lambent_relight.bundle.archive import read_checked
 from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
 from lambent_relight.bundle.onnx_check import metadata
-from packaging.version import Version
 
 from lambent_asset.bundle import manifest as manifests
 from lambent_asset.bundle.graphs import PARITY_ROWS, secondary_rays
@@ -40,8 +39,6 @@ def write_adapted(
     """
     manifest = bundle_pb2.BundleManifest()
     manifest.CopyFrom(bundle.manifest)
-    # Adapted caches came with this version; the reader has refused bundles of a later major one.
-    manifest.schema_version = max(manifest.schema_version, manifests.SCHEMA_VERSION, key=Version)
     for file in manifest.files:
         path = folder / file.path
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -56,7 +53,6 @@ def write_adapted(
         key: value for key, value in known.items() if key.startswith("flashcache.") or key == "producer"
     }
     shared.pop("flashcache.train_light", None)
-    shared["flashcache.schema"] = manifest.schema_version
     graph = graphs.adapted_cache_graph(cache, light.name, weights, {**shared, METADATA_KEY: light.to_json()})
     data = weights.to_bytes()
     (folder / WEIGHTS_PATH).write_bytes(data)

@@ -1,6 +1,6 @@
 """How far the mesh lies from the volume it was made from, as photographs see both."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -9,12 +9,11 @@ from flashcache.evaluation.threads import on_all_cores
 from flashcache.geometry.rays import Rays
 from flashcache.physical.model import InverseModel
 from jaxtyping import Float
-from lambent_core.scene import View
+from lambent_core.scene import Camera, View
+from lambent_relight import cameras as relight_cameras
 from lambent_relight.baked.raster import rasterise
 from numpy.typing import NDArray
 from torch import Tensor
-
-from lambent_asset.mesh.cameras import relight_camera
 
 NUM_VIEWS = 8
 NUM_PIXELS = 4000
@@ -33,6 +32,12 @@ class DepthAgreement:
     worst_view: str
     worst_p95: float
     """The 95th percentile in the view where it is largest."""
+
+
+def relight_camera(name: str, camera: Camera) -> relight_cameras.Camera:
+    """Return a camera as clients read it."""
+    values = {field.name: getattr(camera, field.name) for field in fields(camera)}
+    return relight_cameras.Camera(name=name, **values)
 
 
 def depth_agreement(

@@ -13,8 +13,8 @@ from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
 from lambent_asset.mesh.atlas import angle_weighted_normals, unit
-from lambent_asset.mesh.cameras import relight_camera
 from lambent_asset.mesh.mesh import Mesh, compact, edges_of, piece_of_face
+from lambent_asset.mesh.mesh_depth import relight_camera
 
 MOST_VIEWS = 100
 HIDDEN_CELLS = 1.0

@@ -36,13 +36,10 @@ def train(order: Order) -> Path:
     """Run the tasks of `lambent_run.run.pipeline` and return the bundle's folder."""
     from lambent_run.run.folder import task_folder
     from lambent_run.run.pipeline import run_pipeline
-    from lambent_run.run.settings import rounded_sizes
     from lambent_run.run.spec import RunSpec
 
     spec = RunSpec.from_job(order.spec, order.adjustments, order.scene_dir)
     assert spec.config is not None, "orders have settings"
-    for sentence in rounded_sizes(order.spec.params, spec.config):
-        order.reporter.finding("config.size_rounded", sentence)
     num_ranks = max(1, order.spec.gpus) if order.device.startswith("cuda") else ranks_in_use()
     run_pipeline(
         spec, order.run_dir, order.device, order.reporter, checked=order.checked, num_ranks=num_ranks

@@ -8,8 +8,7 @@ from flashcache.evaluation.views import render_gbuffer
 from flashcache.physical.model import InverseModel
 from jaxtyping import Float
 from lambent_asset.bundle.surface_files import silhouette_iou
-from lambent_asset.mesh.cameras import relight_camera
-from lambent_asset.mesh.mesh_depth import NUM_VIEWS, depth_agreement
+from lambent_asset.mesh.mesh_depth import NUM_VIEWS, depth_agreement, relight_camera
 from lambent_asset.textures.surface import AtlasSurface
 from lambent_core.scene import Camera, View, evenly_spaced
 from lambent_relight.bundle.graphs import SurfaceCaches

@@ -48,9 +48,8 @@ def own_masks(context: TaskContext) -> Path | None:
     given = given_masks(context.run_dir, context.spec.masks)
     if given is not None:
         return given
-    # Runs of earlier releases estimated them in `ingest`.
-    places = (task_folder(context.run_dir, task) / MASKS for task in ("masks", "ingest"))
-    return next((place for place in places if place.is_dir()), None)
+    estimated = task_folder(context.run_dir, "masks") / MASKS
+    return estimated if estimated.is_dir() else None
 
 
 def read_checked_manifest(context: TaskContext) -> scene_pb2.SceneManifest:

@@ -4,26 +4,24 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from lambent_asset.bundle.glb import check_glb, write_glb
 from lambent_asset.bundle.manifest import new_manifest, write_manifest
 from lambent_asset.bundle.poster import try_poster
-from lambent_asset.bundle.surface_files import ASSET_PATH, USDZ_PATH, pixel_size
+from lambent_asset.bundle.surface_files import pixel_size, write_mesh
 from lambent_asset.bundle.transport_files import write_relight_graph
-from lambent_asset.bundle.usd import write_usdz
 from lambent_asset.edited.edited_bake import TriangleRays, occlusion_of, write_given_transport
 from lambent_asset.edited.edited_surface import GivenSurface, check_place, given_surface
 from lambent_asset.edited.glb_file import GivenMesh, read_glb
 from lambent_asset.mesh.mesh import Corner, occupied_box
+from lambent_asset.mesh.mesh_depth import relight_camera
 from lambent_core.errors import UsageError
 from lambent_core.files import file_sha256
 from lambent_core.reporter import Reporter
 from lambent_proto.v1 import bundle_pb2
-from lambent_relight.baked.raster import rasterise_uv
 from lambent_relight.bundle.bundle import load_bundle
 from lambent_relight.cameras import cameras_json
 from lambent_relight.environment.maps import write_environment
 
-from lambent_run.report.measure import relight_camera, write_photographs
+from lambent_run.report.measure import write_photographs
 from lambent_run.run.context import TaskContext
 from lambent_run.run.export_notes import tell_about
 from lambent_run.run.folder import locked, require_done
@@ -164,20 +162,7 @@ def _write_mesh(
     occlusion = occlusion_of(
         surface, rays, num_points=settings.occlusion_points, num_rays=settings.occlusion_rays
     )
-    textures = made.textures(occlusion)
-    asset = write_glb(surface, textures, unit=manifest.world.unit)
-    check_glb(asset, surface)
-    (folder / ASSET_PATH).write_bytes(asset)
-    if settings.usdz:
-        write_usdz(folder / USDZ_PATH, surface, textures)
-    size = len(textures.albedo)
-    covered = rasterise_uv(surface.uv, surface.faces, size).covered
-    manifest.atlas.size, manifest.atlas.num_texels = size, int(covered.sum())
-    manifest.atlas.texel_size = surface.texel_size * surface.size / size
-    manifest.atlas.material_size = surface.size
-    manifest.atlas.albedo_source = "file"
-    manifest.metrics["mesh_faces"] = len(surface.faces)
-    manifest.metrics["mesh_vertices"] = len(surface.vertices)
+    write_mesh(surface, made.textures(occlusion), manifest, folder, source="file", usdz=settings.usdz)
 
 
 def _say(context: TaskContext, given: GivenMesh, made: GivenSurface) -> None:

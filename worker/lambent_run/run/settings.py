@@ -3,8 +3,7 @@
 They are imported, and torch with them, only for a run that has some: photographs are prepared without.
 """
 
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -57,17 +56,6 @@ def adjust(config: "Config", adjustments: worker_pb2.Adjustments) -> "Config":
             )
             config = replace(config, stage_two=two)
     return config
-
-
-def rounded_sizes(params: Mapping[str, str], config: "Config") -> Iterator[str]:
-    """Yield a sentence about every size in an order's parameters that `config`, made from them, has not."""
-    from flashcache.config import SIZE_STEP
-
-    for name in ("atlas_size", "transport_size"):
-        asked, found = params.get(f"export.{name}"), getattr(config.export, name)
-        if asked is not None and json.loads(asked) != found:
-            why = f"sizes of textures are multiples of {SIZE_STEP} since the job was queued"
-            yield f"export.{name} is {found} instead of {asked}: {why}"
 
 
 def config_record(config: "Config | None") -> dict[str, Any] | None:

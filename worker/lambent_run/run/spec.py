@@ -143,8 +143,7 @@ class RunSpec:
 
         `known_lights` and `masks` of an order name files and a folder of its capture: `sky.exr`, or
         `sunset=a.hdr,snow=b.hdr`; `masks` may be "none". `corrections` is the JSON document itself, at most
-        `MOST_BYTES` of it, `grey_card` is as on the command line. Sizes of textures are rounded down to those
-        that this release can make (`rounded_sizes` tells which). Raises `ConfigError` for an unknown preset
+        `MOST_BYTES` of it, `grey_card` is as on the command line. Raises `ConfigError` for an unknown preset
         or setting and for files outside the capture, `UsageError` for what cannot be used.
         """
         settings = dict(job.params)
@@ -152,11 +151,10 @@ class RunSpec:
             settings.pop(name, "") for name in (LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS, CORRECTIONS)
         )
         fixed_to, grey_card = settings.pop(LIGHT_FIXED_TO, "auto"), settings.pop(GREY_CARD, "")
-        from flashcache.config import SIZE_STEP, with_overrides
+        from flashcache.config import with_overrides
         from flashcache.presets import preset as preset_of
 
-        # Jobs wait, and are retried, longer than a release lasts: servers refuse such sizes only of new ones.
-        config = with_overrides(preset_of(job.preset), settings, size_step=SIZE_STEP)
+        config = with_overrides(preset_of(job.preset), settings)
         config = adjust(config, adjustments)
         items = []
         for item in _listed(known_lights):
@@ -274,15 +272,21 @@ def with_kept_corrections(spec: RunSpec, run_dir: Path) -> RunSpec:
     return replace(spec, corrections=read_run(run_dir)[0].corrections)
 
 
+_RECORDED = frozenset(
+    {
+        *("preset", "config", "seed", "device", "lights", "layout", "known_lights", "masks"),
+        *("light_fixed_to", "corrections", "grey_card", "scene"),
+    }
+)
+"""What every `run.json` says."""
+
+
 def run_record(run_dir: Path) -> dict[str, Any]:
     """Return the contents of `run.json`; raises `UsageError` where there is no run of this version."""
     try:
-        record: dict[str, Any] = {"known_lights": {}, "masks": AUTOMATIC, "light_fixed_to": "auto"}
-        record["corrections"] = record["grey_card"] = ""
-        record |= json.loads((run_dir / "run.json").read_text(encoding="utf-8"))
+        record: dict[str, Any] = json.loads((run_dir / "run.json").read_text(encoding="utf-8"))
         major = record["schema_version"].split(".")[0]
-        missing = {"preset", "config", "seed", "device", "lights", "layout", "scene"} - record.keys()
-        if missing:
+        if missing := _RECORDED - record.keys():
             raise KeyError(*missing)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(

@@ -55,7 +55,7 @@ class Exhibit:
         The key stands in the fragment, which browsers keep to themselves. The second map is the one that the
         first is compared with; further ones are reached by their address only.
         """
-        state = [("src", f"/show/{self.key}/bundle/"), ("v", "2")]
+        state = [("src", f"/show/{self.key}/bundle/")]
         state += [
             (name, f"url:/show/{self.key}/light/{quote(file)}")
             for name, file in zip(("env", "envB"), self.light, strict=False)

@@ -12,7 +12,7 @@ from lambent_core.extras import pip_install
 from numpy.typing import NDArray
 
 from lambent_relight.asset.glb import packed_glb
-from lambent_relight.baked.mesh import UNREADABLE, glb_accessor, glb_chunks
+from lambent_relight.baked.mesh import UNREADABLE, glb_accessor, glb_chunks, glb_view
 
 DRACO = "KHR_draco_mesh_compression"
 POSITION_BITS = 16
@@ -97,13 +97,10 @@ def unpacked(
     ValueError for a primitive that cannot be unpacked.
     """
     packed = primitive["extensions"][DRACO]
-    view = document["bufferViews"][packed["bufferView"]]
-    start, size = view.get("byteOffset", 0), view["byteLength"]
-    if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
-        raise ValueError("a packed mesh leaves the file")
+    data = glb_view(document, payload, packed["bufferView"])
     library = _library("a mesh that is packed with Draco")
     try:
-        found = library.decode(bytes(payload[start : start + size]))
+        found = library.decode(data)
     except library.FileTypeException as error:
         raise ValueError("a packed mesh is no Draco data") from error
     arrays = {attribute["unique_id"]: np.asarray(attribute["data"]) for attribute in found.attributes}

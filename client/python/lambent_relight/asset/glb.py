@@ -5,8 +5,6 @@ EXT_texture_webp.
 """
 
 import io
-import json
-import struct
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,7 +13,7 @@ from PIL import Image
 
 from lambent_relight.asset.ktx2 import KTX2, MIME, ktx2_of
 from lambent_relight.asset.textured_mesh import TexturedMesh, textures_of
-from lambent_relight.baked.mesh import glb_chunks
+from lambent_relight.baked.mesh import UNREADABLE, glb_chunks, glb_of, glb_view
 
 WEBP = "EXT_texture_webp"
 
@@ -53,18 +51,13 @@ def packed_glb(document: dict[str, Any], payload: bytes, files: Mapping[int, byt
     """Return a GLB whose buffer views hold what they held in `payload`, or what `files` has for them."""
     packed = bytearray()
     for number, view in enumerate(document["bufferViews"]):
-        stated = view if isinstance(view, dict) else {}
-        start, size = stated.get("byteOffset", 0), stated.get("byteLength")
-        if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
+        try:
+            content = files[number] if number in files else glb_view(document, payload, number)
+            view["byteOffset"], view["byteLength"] = len(packed), len(content)
+        except UNREADABLE as error:
             raise BundleError(
                 "bundle.mesh_invalid", f"mesh/asset.glb has a part {number} that leaves it", "export it again"
-            )
-        content = files.get(number, payload[start : start + size])
-        view["byteOffset"], view["byteLength"] = len(packed), len(content)
+            ) from error
         packed += content + b"\0" * (-len(content) % 4)
     document["buffers"] = [{"byteLength": len(packed)}]
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
-    chunks += struct.pack("<II", len(packed), 0x004E4942) + packed
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+    return glb_of(document, bytes(packed))

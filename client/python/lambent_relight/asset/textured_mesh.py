@@ -14,7 +14,7 @@ from lambent_core.errors import BundleError
 from numpy.typing import NDArray
 from PIL import Image
 
-from lambent_relight.baked.mesh import UNREADABLE, glb_accessor, glb_chunks, mesh_from_glb
+from lambent_relight.baked.mesh import UNREADABLE, glb_chunks, mesh_from_glb
 from lambent_relight.baked.mesh_textures import pixels_of, texture_png, textures_of
 
 
@@ -46,23 +46,17 @@ def textured_mesh_from_glb(data: bytes) -> TexturedMesh:
     mesh = mesh_from_glb(data)
     try:
         document, payload = glb_chunks(data)
-        attributes = document["meshes"][0]["primitives"][0]["attributes"]
-        normals = glb_accessor(document, payload, attributes["NORMAL"], "VEC3")
-        pictures = [texture_png(document, payload, texture) for texture in textures_of(document)]
+        colour, packed, bent = (texture_png(document, payload, texture) for texture in textures_of(document))
     except UNREADABLE as error:
         raise BundleError(
             "bundle.mesh_invalid",
-            f"mesh/asset.glb has no normals and textures that can be read ({str(error)[:100]})",
+            f"mesh/asset.glb has no textures that can be read ({str(error)[:100]})",
             "export the bundle again with `lambent export`",
         ) from error
-    if normals.dtype != np.float32 or normals.shape != mesh.vertices.shape or not np.isfinite(normals).all():
-        raise BundleError(
-            "bundle.mesh_invalid", "mesh/asset.glb has unusable normals", "export the bundle again"
-        )
-    colour, packed, bent = pictures
+    assert mesh.normals is not None, "every mesh of a bundle has normals"
     return TexturedMesh(
         vertices=mesh.vertices,
-        normals=normals,
+        normals=mesh.normals,
         faces=mesh.faces,
         uv=mesh.uv,
         base_colour_png=colour,

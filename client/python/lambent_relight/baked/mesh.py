@@ -43,7 +43,7 @@ class AtlasMesh:
     uv: NDArray[np.float32]
     """[vertex, 2] in [0, 1], v down from the top row of the atlas."""
     normals: NDArray[np.float32] | None = None
-    """Of the vertices, [vertex, 3]; None where the file has none."""
+    """Of the vertices, [vertex, 3]; None, as the next, where nothing is seen of the mesh but its shape."""
     tangents: NDArray[np.float32] | None = None
     """Frames of the normal map, [vertex, 4] as in glTF: x along u, and the sign of the bitangent."""
 
@@ -65,7 +65,7 @@ def mesh_from_glb(data: bytes) -> AtlasMesh:
         uv = glb_accessor(document, payload, attributes["TEXCOORD_0"], "VEC2")
         indices = glb_accessor(document, payload, primitive["indices"], "SCALAR")
         shading = [
-            glb_accessor(document, payload, attributes[name], kind) if name in attributes else None
+            glb_accessor(document, payload, attributes[name], kind)
             for name, kind in (("NORMAL", "VEC3"), ("TANGENT", "VEC4"))
         ]
         mode = primitive.get("mode", 4)
@@ -80,8 +80,6 @@ def mesh_from_glb(data: bytes) -> AtlasMesh:
     if not (np.isfinite(vertices).all() and np.isfinite(uv).all() and uv.min() >= 0.0 and uv.max() <= 1.0):
         raise _invalid("has coordinates out of range")
     for values in shading:
-        if values is None:
-            continue
         if values.dtype != np.float32 or len(values) != len(vertices) or not np.isfinite(values).all():
             raise _invalid("has normals or tangents that do not fit its positions")
     if len(vertices) == 0 or indices.size == 0 or int(indices.max()) >= len(vertices):
@@ -104,6 +102,25 @@ def glb_chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
     if payload_kind != 0x004E4942 or start + 8 + payload_length > len(data):
         raise ValueError("no binary chunk")
     return document, data[start + 8 : start + 8 + payload_length]
+
+
+def glb_of(document: dict[str, Any], payload: bytes) -> bytes:
+    """Return the GLB with these two chunks, each filled up to a multiple of four bytes."""
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    payload += b"\0" * (-len(payload) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
+    chunks += struct.pack("<II", len(payload), 0x004E4942) + payload
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+
+
+def glb_view(document: dict[str, Any], payload: bytes, index: int) -> bytes:
+    """Return the bytes of a buffer view; raises one of `UNREADABLE` for one that is not in the file."""
+    view = document["bufferViews"][index]
+    start, size = view.get("byteOffset", 0), view["byteLength"]
+    if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
+        raise ValueError(f"part {index} leaves the file")
+    return payload[start : start + size]
 
 
 def glb_accessor(document: dict[str, Any], payload: bytes, index: int, kind: str) -> NDArray[Any]:

@@ -12,7 +12,7 @@ from lambent_core.errors import BundleError
 from numpy.typing import NDArray
 from PIL import Image
 
-from lambent_relight.baked.mesh import UNREADABLE, glb_chunks
+from lambent_relight.baked.mesh import UNREADABLE, glb_chunks, glb_view
 from lambent_relight.bundle.bundle import MAX_ATLAS
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -57,11 +57,7 @@ def pixels_of(png: bytes) -> NDArray[np.uint8]:
 
 def texture_png(document: dict[str, Any], payload: bytes, texture: dict[str, Any]) -> bytes:
     """Return the PNG file of a texture; raises ValueError for one that is no PNG, or too large."""
-    view = document["bufferViews"][document["images"][texture["source"]]["bufferView"]]
-    start, size = view.get("byteOffset", 0), view["byteLength"]
-    if not all(isinstance(n, int) and n >= 0 for n in (start, size)) or start + size > len(payload):
-        raise ValueError("a texture leaves the file")
-    data = payload[start : start + size]
+    data = glb_view(document, payload, document["images"][texture["source"]]["bufferView"])
     if not data.startswith(_SIGNATURE):
         raise ValueError("a texture is no PNG")
     # Before anything is decoded: some bytes can state pictures of gigabytes.

@@ -9,9 +9,8 @@ from lambent_core.errors import BundleError, UnsupportedQuality
 from numpy.typing import NDArray
 
 from lambent_relight.baked.material_maps import MaterialMaps, material_maps
-from lambent_relight.baked.mesh import MAX_MESH_BYTES, MESH_PATH, AtlasMesh, mesh_from_glb, read_mesh
+from lambent_relight.baked.mesh import MAX_MESH_BYTES, MESH_PATH, AtlasMesh, mesh_from_glb
 from lambent_relight.baked.raster import Fragments, interpolate, nearest_texel, rasterise_uv
-from lambent_relight.baked.texel_blend import blended_texels, weighted_sums
 from lambent_relight.baked.transport import Transport, read_transport
 from lambent_relight.bundle.bundle import Bundle
 
@@ -64,7 +63,7 @@ class BakedScene:
     metalness: NDArray[np.float32]
     normal: NDArray[np.float32]
     maps: MaterialMaps | None = None
-    """The mesh's textures, where they are finer than the texels' materials."""
+    """The mesh's textures, the materials of what is seen; None while an export has yet to make them."""
 
     @cached_property
     def openness(self) -> NDArray[np.float32]:
@@ -106,14 +105,9 @@ class BakedScene:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Return albedo [n, 3], perceptual roughness and metalness [n, 1] at places `uv` [n, 2] of the atlas.
 
-        They are bilinear between texels, and where the mesh has textures means over about `footprint` [n]
-        scene units.
+        They are means over about `footprint` [n] scene units.
         """
-        if self.maps is None:
-            found = self.between_texels(
-                np.concatenate([self.albedo, self.perceptual_roughness, self.metalness], axis=1), uv
-            )
-            return found[:, 0:3], found[:, 3:4], found[:, 4:5]
+        assert self.maps is not None, "a surface is seen with its textures"
         return (
             self.maps.albedo_at(uv, footprint),
             *self.maps.roughness_and_metalness_at(uv, footprint),
@@ -122,22 +116,18 @@ class BakedScene:
     def normals_at(self, places: SurfacePlaces, footprint: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return unit normals at places of the mesh, [n, 3].
 
-        They are the mesh's, interpolated, with the detail of its normal map; where the file has no frames or
-        no map, those of the texels. `footprint` as in `materials_at`.
+        They are the mesh's, interpolated, with the detail of its normal map. `footprint` as in
+        `materials_at`.
         """
         mesh = self.mesh
-        if self.maps is None or mesh.normals is None or mesh.tangents is None:
-            return normalise(self.between_texels(self.normal, places.uv))
+        assert self.maps is not None, "a surface is seen with its textures"
+        assert mesh.normals is not None, "a mesh with textures has frames"
+        assert mesh.tangents is not None, "a mesh with textures has frames"
         normal, frame = normalise(places(mesh.normals)), places(mesh.tangents)
         along = normalise(frame[:, :3])
         across = normalise(np.sign(frame[:, 3:]) * np.cross(normal, along))
         local = self.maps.normal_at(places.uv, footprint)
         return normalise(local[:, 0:1] * along + local[:, 1:2] * across + local[:, 2:3] * normal)
-
-    def between_texels(self, values: NDArray[np.floating], uv: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return values per texel [texel, n] at places `uv` [count, 2] of the atlas, bilinear, [count, n]."""
-        each = np.arange(len(uv) + 1, dtype=np.int64)
-        return weighted_sums(values, *blended_texels(self.texel_plane, uv, each))
 
     def texels_at(self, uv: NDArray[np.floating]) -> NDArray[np.int32]:
         """Return the number of the texel at places `uv` [n, 2] of the atlas."""
@@ -155,12 +145,10 @@ def load_baked_scene(bundle: Bundle) -> BakedScene:
     if transport is None:
         raise UnsupportedQuality(
             "relight.quality_unsupported",
-            "this bundle has no baked light transport (it was exported before version 1.1)",
-            'export it again, or use the quality "refined"',
+            "this bundle has no baked light transport (it was exported with export.transport_tier=none)",
+            'export it again with --tier full or lite, or use the quality "refined"',
         )
     atlas = bundle.manifest.atlas
-    if not atlas.albedo_source:
-        return baked_scene(read_mesh(bundle), transport)
     data = bundle.read(MESH_PATH, MAX_MESH_BYTES)
     maps = material_maps(data, atlas.texel_size, transport.size)
     found, stated = (maps.albedo[0].shape[:2], maps.packed[0].shape[:2]), (atlas.size, atlas.material_size)

@@ -35,10 +35,9 @@ class SurfaceDetail:
     """The model's albedo at every place of the transport's atlas, [size, size, 3]."""
 
     @classmethod
-    def of(cls, scene: BakedScene) -> "SurfaceDetail | None":
-        """Return the detail of `scene`, or None where its materials are the texels' (bundles before 1.3)."""
-        if scene.maps is None:
-            return None
+    def of(cls, scene: BakedScene) -> "SurfaceDetail":
+        """Return the detail of `scene`."""
+        assert scene.maps is not None, "there is no detail without textures"
         texel = scene.maps.texel_size * len(scene.maps.albedo[0]) / scene.transport.size
         return cls(scene, NEAR * texel, scene.albedo[scene.texel_plane])
 

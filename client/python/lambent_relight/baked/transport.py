@@ -98,12 +98,10 @@ def dequantised(data: bytes, scales: list[float], offsets: list[float]) -> Plane
     return offset[:, None] + scale[:, None] * steps.astype(np.float32)
 
 
-def transport_files(
-    transport: Transport, manifest: bundle_pb2.BundleManifest, *, tier: str
-) -> dict[str, bytes]:
+def transport_files(transport: Transport, manifest: bundle_pb2.BundleManifest) -> dict[str, bytes]:
     """Return the files that hold `transport`, by path, and describe them in `manifest`."""
     stated = manifest.transport
-    stated.tier, stated.size, stated.num_texels = tier, transport.size, transport.num_texels
+    stated.size, stated.num_texels = transport.size, transport.num_texels
     stated.texels_path = _TEXELS
     covered = np.zeros(transport.size * transport.size, bool)
     covered[transport.texel_index] = True
@@ -114,13 +112,7 @@ def transport_files(
         steps, scales, offsets = quantised(planes.reshape(-1, planes.shape[-1]))
         files[path] = steps.tobytes()
         stated.planes.add(
-            name=name,
-            path=path,
-            bands=bands,
-            channels=channels,
-            num_texels=planes.shape[-1],
-            scales=scales,
-            offsets=offsets,
+            name=name, path=path, bands=bands, channels=channels, scales=scales, offsets=offsets
         )
     if transport.shadow_bits is not None:
         stated.shadow_bits_path = _SHADOW_BITS

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from google.protobuf import json_format
 from lambent_core.errors import BundleError
+from lambent_proto import BUNDLE_VERSION
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 
 from lambent_relight.arguments import file_path, refusal
@@ -22,8 +23,6 @@ from lambent_relight.bundle.uncertainty import UncertaintyGrid, read_uncertainty
 from lambent_relight.cameras import Camera, parse_cameras
 from lambent_relight.environment.maps import Environment, load_environment
 
-SCHEMA_MAJOR = 1
-"""The major version of the format that this reader knows."""
 _MAX_MANIFEST_BYTES = 16 << 20
 _MAX_GRAPH_BYTES = 64 << 20
 _MAX_WEIGHTS_BYTES = 2 << 30
@@ -158,7 +157,7 @@ def peek_bundle(path: Path | str) -> Bundle:
 
 def _parse_manifest(data: bytes) -> BundleManifest:
     try:
-        # A later minor version may add fields, which an older reader must ignore.
+        # Fields may be added without another version, as long as readers may ignore them.
         return json_format.Parse(data.decode("utf-8"), BundleManifest(), ignore_unknown_fields=True)
     except (json_format.ParseError, UnicodeDecodeError, RecursionError) as error:
         reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
@@ -168,12 +167,12 @@ def _parse_manifest(data: bytes) -> BundleManifest:
 
 
 def _check_version(manifest: BundleManifest) -> None:
-    match = re.fullmatch(r"(\d{1,4})\.(\d{1,4})", manifest.schema_version)
-    if match is None or int(match[1]) != SCHEMA_MAJOR:
+    if manifest.schema_version != BUNDLE_VERSION:
         raise BundleError(
             "bundle.version_unknown",
-            f"schema_version is {manifest.schema_version[:32]!r}, this reader knows {SCHEMA_MAJOR}.x",
-            "update lambent, or export the bundle with a matching version",
+            f"the bundle has format version {manifest.schema_version[:32]!r}, "
+            f"this release reads version {BUNDLE_VERSION!r} alone",
+            "export the bundle again with this release, or open it with the release that wrote it",
         )
 
 
@@ -222,7 +221,7 @@ def _check_values(manifest: BundleManifest) -> None:
     if len(scale) != 3 or not all(0.0 < value < math.inf for value in scale):
         raise invalid("albedo_scale_rgb needs three positive numbers")
     atlas = manifest.atlas
-    if atlas.albedo_source:
+    if manifest.HasField("transport"):
         sizes = (atlas.size, atlas.material_size)
         if not (0.0 < atlas.texel_size < math.inf and all(0 < size <= MAX_ATLAS for size in sizes)):
             raise invalid(f"atlas needs a positive texel_size and sizes of 1 to {MAX_ATLAS} texels")

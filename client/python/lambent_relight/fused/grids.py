@@ -25,14 +25,13 @@ class Grid(NamedTuple):
     levels: NDArray[np.int64]
     """Resolution, first row, number of rows, multipliers of y and z, [level, 5]."""
     half_extent: float
-    output_scale: np.float32
 
     @classmethod
     def empty(cls) -> "Grid":
         """Return a grid without features."""
         table = np.zeros((1, 1), np.float32)
         table.flags.writeable = False
-        return cls(table, np.zeros((0, 5), np.int64), 1.0, np.float32(1.0))
+        return cls(table, np.zeros((0, 5), np.int64), 1.0)
 
     @property
     def num_outputs(self) -> int:
@@ -158,7 +157,3 @@ def encode(grid, points, count, out):
             _interpolate_two(table, mask, by, bz, corner, inside, count, target)
         else:
             _interpolate_four(table, mask, by, bz, corner, inside, count, target)
-    if grid.output_scale != np.float32(1.0):
-        for i in range(len(grid.levels) * num_features):
-            for r in range(count):
-                out[i, r] *= grid.output_scale

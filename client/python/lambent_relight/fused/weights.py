@@ -95,7 +95,7 @@ class Weights:
                 f"grid {name!r} names rows its table has not",
                 "export the bundle again",
             )
-        return Grid(table, levels, entry.half_extent, np.float32(entry.output_scale))
+        return Grid(table, levels, entry.half_extent)
 
 
 def graph_constants(

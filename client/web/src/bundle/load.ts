@@ -38,8 +38,8 @@ export type LoadedBundle = Readonly<Pick<BundleManifest, "name" | "sceneId" | "p
   /** About fast caches that were adapted to one light, which no viewer uses; empty where there are none. */
   readonly adaptedNote: string;
   readonly mesh: AtlasMesh;
-  /** The materials that all renderers read; null for bundles before 1.3, whose transport has them. */
-  readonly maps: MaterialMaps | null;
+  /** The materials of what is seen. */
+  readonly maps: MaterialMaps;
   /** White where no photograph shows the surface; null where all of it is shown, or that is not known. */
   readonly unseen: ImageBitmap | null;
   readonly transport: PackedTransport;
@@ -82,6 +82,8 @@ export async function loadBundle(
   if (stated === undefined) {
     throw new BundleFault("bundle.transport_missing", ...bundleFaults.noTransport());
   }
+  // A manifest with transport has been checked for it.
+  const atlas = manifest.atlas!;
   const paths = new Set(manifest.files.map((file) => file.path));
   const sizes = new Map(manifest.files.map((file) => [file.path, file.sizeBytes]));
   const lights = manifest.trainLights.filter((light) => paths.has(`env/trained_${light}.exr`));
@@ -90,9 +92,9 @@ export async function loadBundle(
   const wanted = [
     "mesh/asset.glb",
     stated.texelsPath,
-    ...stated.planes.map((planes) => planes.path),
+    ...stated.planes.filter(({ name }) => name !== "material").map((planes) => planes.path),
     manifest.uncertainty?.path ?? "",
-    manifest.atlas?.unseenPath ?? "",
+    atlas.unseenPath,
     cameraPath ?? "",
     ...lights.map((light) => `env/trained_${light}.exr`),
     ...pictures,
@@ -126,26 +128,17 @@ export async function loadBundle(
   tell({ kind: "opened", name: manifest.name, totalBytes: total, bands, lights });
   const uncertainty = manifest.uncertainty;
   // The maps first: preparing light takes longest.
-  const atlas = (manifest.atlas?.albedoSource ?? "") !== "" ? manifest.atlas : undefined;
-  const unseenPath = manifest.atlas?.unseenPath ?? "";
-  const meshRead = counted("mesh/asset.glb").then((data) => ({ data, mesh: meshFromGlb(data) }));
-  // Only a mesh without textures or frames takes its materials from the transport.
-  const skipsMaterial = async (path: string): Promise<boolean> => {
-    if (atlas === undefined || (await meshRead).mesh.frames === null) return false;
-    arrive(sizes.get(path) ?? 0);
-    return true;
-  };
   const [trainedMaps, [mesh, maps], transport, grid, cameras, unseen, previews] = await Promise.all([
     Promise.all(lights.map(trainedMap)),
-    meshRead.then(async ({ data, mesh }) => {
-      return [mesh, atlas === undefined ? null : await mapsOf(data, atlas, decode)] as const;
+    counted("mesh/asset.glb").then(async (data) => {
+      return [meshFromGlb(data), await mapsOf(data, atlas, decode)] as const;
     }),
-    readTransport(stated, counted, skipsMaterial),
+    readTransport(stated, counted),
     uncertainty === undefined
       ? null
       : counted(uncertainty.path).then((data) => readUncertainty(uncertainty, data)),
     cameraPath === undefined ? [] : counted(cameraPath).then(parseCameras),
-    unseenPath === "" ? null : counted(unseenPath).then((data) => maskOf(data, decode)),
+    atlas.unseenPath === "" ? null : counted(atlas.unseenPath).then((data) => maskOf(data, decode)),
     Promise.all(
       pictures.map(async (path) => ({ name: path.slice("preview/".length), data: await counted(path) })),
     ),

@@ -7,6 +7,8 @@ import { sha256Hex } from "./sha256.js";
 import type { FileSource } from "./source.js";
 import { bundleFaults } from "../words/bundleFaults.js";
 
+/** The version of the format that is read. */
+const formatVersion = "1";
 const manifestLimit = 16 << 20;
 const fileLimit = 512 << 20;
 /**
@@ -90,11 +92,10 @@ function parseManifest(data: Uint8Array): BundleManifest {
 }
 
 function checkVersion(manifest: BundleManifest): void {
-  const match = /^(\d{1,4})\.(\d{1,4})$/.exec(manifest.schemaVersion);
-  if (match?.[1] !== "1") {
+  if (manifest.schemaVersion !== formatVersion) {
     throw new BundleFault(
       "bundle.version_unknown",
-      ...bundleFaults.unknownVersion(manifest.schemaVersion.slice(0, 32)),
+      ...bundleFaults.unknownVersion(manifest.schemaVersion.slice(0, 32), formatVersion),
     );
   }
 }
@@ -150,11 +151,9 @@ function checkValues(manifest: BundleManifest): void {
   if (scale.length !== 3 || !scale.every((value) => value > 0 && Number.isFinite(value))) {
     throw exportAgain("bundle.manifest_invalid", bundleFaults.albedoScale);
   }
-  const atlas = manifest.atlas;
-  if (atlas !== undefined && atlas.albedoSource !== "") {
-    const sizes = [atlas.size, atlas.materialSize].every((size) => size >= 1 && size <= maxAtlasSize);
-    if (!(sizes && atlas.texelSize > 0 && Number.isFinite(atlas.texelSize))) {
-      throw exportAgain("bundle.manifest_invalid", bundleFaults.atlas(maxAtlasSize));
-    }
+  const { size = 0, materialSize = 0, texelSize = 0 } = manifest.atlas ?? {};
+  const sizes = [size, materialSize].every((texels) => texels >= 1 && texels <= maxAtlasSize);
+  if (manifest.transport !== undefined && !(sizes && texelSize > 0 && Number.isFinite(texelSize))) {
+    throw exportAgain("bundle.manifest_invalid", bundleFaults.atlas(maxAtlasSize));
   }
 }

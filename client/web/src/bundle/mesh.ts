@@ -10,11 +10,9 @@ export type AtlasMesh = {
   /** Pairs in [0, 1], v down from the top row of the atlas. */
   readonly uv: Float32Array<ArrayBuffer>;
   readonly indices: Uint32Array<ArrayBuffer>;
-  /** Vertex normals, and frames of the normal map as in glTF; null where the file does not have both. */
-  readonly frames: {
-    readonly normalsXyz: Float32Array<ArrayBuffer>;
-    readonly tangentsXyzw: Float32Array<ArrayBuffer>;
-  } | null;
+  readonly normalsXyz: Float32Array<ArrayBuffer>;
+  /** Frames of the normal map, as in glTF. */
+  readonly tangentsXyzw: Float32Array<ArrayBuffer>;
 };
 
 type Numbers = Uint8Array | Uint16Array | Uint32Array | Float32Array;
@@ -53,17 +51,19 @@ export function meshFromGlb(data: Uint8Array<ArrayBuffer>): AtlasMesh {
   if (numVertices === 0 || indices.length === 0 || !indices.every((index) => index < numVertices)) {
     throw invalid(bundleFaults.noSuchVertex);
   }
-  const shading = (slot: unknown, kind: string): Float32Array<ArrayBuffer> | null => {
-    if (slot === undefined) return null;
+  const shading = (slot: unknown, kind: string): Float32Array<ArrayBuffer> => {
     const values = accessor(document, payload, slot, kind);
     const fits = values instanceof Float32Array && values.length === components[kind]! * numVertices;
     if (!fits || !values.every(Number.isFinite)) throw invalid(bundleFaults.shadingCount);
     return new Float32Array(values);
   };
-  const normalsXyz = shading(attributes.NORMAL, "VEC3");
-  const tangentsXyzw = shading(attributes.TANGENT, "VEC4");
-  const frames = normalsXyz === null || tangentsXyzw === null ? null : { normalsXyz, tangentsXyzw };
-  return { positionsXyz: new Float32Array(positions), uv, indices, frames };
+  return {
+    positionsXyz: new Float32Array(positions),
+    uv,
+    indices,
+    normalsXyz: shading(attributes.NORMAL, "VEC3"),
+    tangentsXyzw: shading(attributes.TANGENT, "VEC4"),
+  };
 }
 
 /** A PNG file and the size that its header states. */

@@ -39,16 +39,17 @@ export type PackedTransport = {
   readonly visibility: PlaneTable;
   /** Plane 3 k + c is coefficient k of channel c, over coarse texels. */
   readonly indirect: PlaneTable;
-  /**
-   * Albedo (3), perceptual roughness, metalness, world normal (3); null where the mesh's textures and frames are the
-   * materials of all that is seen, until `forHits` has read it.
-   */
-  readonly material: PlaneTable | null;
   /** Number of the coarse texel of every texel, as a table. */
   readonly coarseOfTexel: Uint32Array<ArrayBuffer>;
   /** The four coarse texels around every texel; see `blocksAround`. */
   readonly blocksAround: Uint32Array<ArrayBuffer>;
-  /** 256 bits per texel in two layers of four words, lowest bit first; null until `forHits` has read them. */
+};
+
+/** A transport with what only light from the surface itself needs. */
+export type HitTransport = PackedTransport & {
+  /** Albedo (3), perceptual roughness, metalness, world normal (3). */
+  readonly material: PlaneTable;
+  /** 256 bits per texel in two layers of four words, lowest bit first; null where the bundle has none. */
   readonly shadowBits: Uint32Array<ArrayBuffer> | null;
 };
 
@@ -87,15 +88,10 @@ export async function finerTables(stated: Transport, read: Reader): Promise<Fine
 }
 
 /**
- * Read and check the transport that a manifest states, but for its shadow bits, which no picture needs at first, and for
- * its materials where `skipsMaterial` is true of their path. Where `read` returns only the first planes of a table, the
- * others are about zero.
+ * Read and check the transport that a manifest states, but for what `forHits` reads, which no picture needs at first.
+ * Where `read` returns only the first planes of a table, the others are about zero.
  */
-export async function readTransport(
-  stated: Transport,
-  read: HeadReader,
-  skipsMaterial: (path: string) => Promise<boolean>,
-): Promise<PackedTransport> {
+export async function readTransport(stated: Transport, read: HeadReader): Promise<PackedTransport> {
   const { size } = stated;
   if (!(size >= 1 && size <= maxAtlasSize)) throw invalid(bundleFaults.atlasSize(size));
   const texelIndex = coveredTexels(await read(stated.texelsPath, Infinity), size);
@@ -104,7 +100,7 @@ export async function readTransport(
     throw invalid(bundleFaults.covers(numTexels, stated.numTexels));
   }
   const { numCoarse, coarseOfTexel } = coarseTexels(texelIndex, size);
-  const load = async (name: keyof typeof sets): Promise<PlaneTable> => {
+  const load = async (name: "direct" | "visibility" | "indirect"): Promise<PlaneTable> => {
     const planes = statedPlanes(stated, name);
     const [channels, , first] = sets[name];
     const texels = name === "indirect" ? numCoarse : numTexels;
@@ -112,9 +108,8 @@ export async function readTransport(
     return packPlanes(planes, await read(planes.path, head), texels, head);
   };
   // Those that are read in part come after the others.
-  const [indirect, material, visibility, direct] = await Promise.all([
+  const [indirect, visibility, direct] = await Promise.all([
     load("indirect"),
-    skipsMaterial(statedPlanes(stated, "material").path).then((skips) => (skips ? null : load("material"))),
     load("visibility"),
     load("direct"),
   ]);
@@ -131,14 +126,9 @@ export async function readTransport(
     direct,
     visibility,
     indirect,
-    material,
     coarseOfTexel,
-    shadowBits: null,
   };
 }
-
-/** A transport with what only light from the surface itself needs. */
-export type HitTransport = PackedTransport & { readonly material: PlaneTable };
 
 /** Return a transport with its materials and its shadow bits; without bits where the manifest states none. */
 export async function forHits(
@@ -153,7 +143,7 @@ export async function forHits(
   };
   const readBits = async () =>
     stated.shadowBitsPath === "" ? null : packShadowBits(await read(stated.shadowBitsPath), numTexels);
-  const [material, shadowBits] = await Promise.all([transport.material ?? readMaterial(), readBits()]);
+  const [material, shadowBits] = await Promise.all([readMaterial(), readBits()]);
   return { ...transport, material, shadowBits };
 }
 

@@ -28,7 +28,7 @@ export function gridFunction(name: string, grid: PackedGrid, target: string): st
     const { resolution: n, firstRow, numRows, multiplierY, multiplierZ } = level;
     const scale = n / (2 * grid.halfExtent);
     const stores = chunks.map((chunk, c) => {
-      const found = `${name}_${c}_at(rows, f)${grid.outputScale === 1 ? "" : ` * ${literal(grid.outputScale)}`}`;
+      const found = `${name}_${c}_at(rows, f)`;
       return `    let v${c} = ${found};\n${stored(target, index * grid.numFeatures + chunk.first, `v${c}`, chunk.size)}`;
     });
     return `  {

@@ -23,7 +23,7 @@ export type Layer = {
 };
 
 /** A multi-resolution feature grid over [-halfExtent, halfExtent]^3 of contracted space. */
-export type FeatureGrid = Readonly<Pick<Grid, "numFeatures" | "halfExtent" | "outputScale">> & {
+export type FeatureGrid = Readonly<Pick<Grid, "numFeatures" | "halfExtent">> & {
   /** Row = firstRow + (x + multiplierY y + multiplierZ z) mod numRows. */
   readonly levels: readonly Omit<GridLevel, "$typeName" | "$unknown">[];
   /** Little-endian float32 or float16 numbers [row, numFeatures], as they lie in the file. */

@@ -1,6 +1,7 @@
 /** Irradiance of every texel under a light: `lambent_relight.baked.light`, on the processor. */
 
 import {
+  type HitTransport,
   numShadowDirections,
   type PackedTransport,
   type PlaneTable,
@@ -15,7 +16,7 @@ const stored = shadowDirections(numShadowDirections);
 
 /** Return the direct irradiance of every texel, triples, not below zero. */
 export function directIrradiance(
-  transport: PackedTransport,
+  transport: HitTransport,
   normals: Float32Array,
   light: FallingLight,
 ): Float32Array {

@@ -102,9 +102,8 @@ export class Stage {
       throw new GraphicsFault(...deviceFaults.textureLimit(maxTextureSize, longest));
     }
     const { transport, uncertainty, maps, mesh } = bundle;
-    const framed = mesh.frames !== null;
-    const textures = new BundleTextures(transport, uncertainty, maps, framed, maxTextureSize);
-    const surface = new Surface(bundle.mesh, textures);
+    const textures = new BundleTextures(transport, uncertainty, maps, maxTextureSize);
+    const surface = new Surface(mesh, textures);
     const shading = new Shading(bundle, textures, this.#splitSum);
     const scene = new Scene();
     scene.matrixWorldAutoUpdate = false;

@@ -19,12 +19,15 @@ import {
 } from "three";
 import type { AtlasMesh } from "../bundle/mesh.js";
 import * as glsl from "./glsl.js";
-import { type BundleTextures, normalisedScales } from "./textures.js";
+import type { BundleTextures } from "./textures.js";
 
-const vertex = (framed: boolean): string => `${glsl.header}
+const vertex = `${glsl.header}
 in vec3 position;
 in vec2 uv;
-${framed ? "in vec3 normal;\nin vec4 tangent;\nout vec3 upright;\nout vec4 along;" : ""}
+in vec3 normal;
+in vec4 tangent;
+out vec3 upright;
+out vec4 along;
 uniform mat4 viewMatrix;
 uniform mat4 projectionMatrix;
 out vec2 place;
@@ -32,7 +35,8 @@ out vec3 world;
 void main() {
   place = uv;
   world = position;
-  ${framed ? "upright = normal;\n  along = tangent;" : ""}
+  upright = normal;
+  along = tangent;
   gl_Position = projectionMatrix * viewMatrix * vec4(position, 1.0);
 }`;
 
@@ -50,57 +54,31 @@ vec4 mapAt(sampler2D map, float lastLevel) {
 }`;
 
 /** Return the look-up of a texture; one with a single version needs no derivatives. */
-function lookUp(map: string, texture: Texture | null, leastSize: number): string {
-  const { width } = (texture?.image ?? { width: 1 }) as { readonly width: number };
+function lookUp(map: string, texture: Texture, leastSize: number): string {
+  const { width } = texture.image as { readonly width: number };
   const lastLevel = Math.floor(Math.log2(width / leastSize));
   return lastLevel < 1 ? `textureLod(${map}, place, 0.0)` : `mapAt(${map}, ${lastLevel}.0)`;
 }
-
-const texels = `
-uniform sampler2DArray surface;
-uniform vec4 materialScales[2];
-uniform vec4 materialOffsets[2];
-vec4 planesAt(int layer) {
-  return materialOffsets[layer] + materialScales[layer] * texture(surface, vec3(place, float(layer)));
-}`;
-
-const mappedMaterial = (textures: BundleTextures): string => `
-  albedo = ${lookUp("albedoMap", textures.albedoMap, textures.transport.size)}.rgb;
-  rest = ${lookUp("packedMap", textures.packedMap, textures.transport.size)}.gb;`;
-
-const texelMaterial = `
-  vec4 low = planesAt(0), high = planesAt(1);
-  albedo = low.rgb;
-  rest = vec2(low.a, high.x);`;
-
-// As `BakedScene.normals_at` in Python.
-const framedNormal = (textures: BundleTextures): string => `
-  vec3 n = normalize(upright), t = normalize(along.xyz);
-  vec3 b = normalize(sign(along.w) * cross(n, t));
-  vec3 local = 2.0 * ${lookUp("normalMap", textures.normalMap, textures.transport.size)}.xyz - 1.0;
-  vec3 normal = normalize(local.x * t + local.y * b + local.z * n);`;
-
-const texelNormal = `
-  vec3 normal = planesAt(1).yzw;
-  normal /= max(length(normal), 1e-12);`;
 
 /**
  * A sample: its place in the atlas in two halves of 16 bits; the bits of the distance, zero where nothing is; 16 bits
  * for each channel of linear albedo, 8 for roughness, 8 for metalness. Beside it the normal in two halves, octahedral.
  */
 function fragment(textures: BundleTextures): string {
-  const mapped = textures.albedoMap !== null;
-  const framed = textures.normalMap !== null;
+  const found = (map: "albedoMap" | "packedMap" | "normalMap"): string =>
+    lookUp(map, textures[map], textures.transport.size);
   return `${glsl.header}
 in vec2 place;
 in vec3 world;
-${framed ? "in vec3 upright;\nin vec4 along;" : ""}
+in vec3 upright;
+in vec4 along;
 layout(location = 0) out uvec4 result;
 layout(location = 1) out uvec4 facing;
 uniform vec3 cameraPosition;
 uniform float floorHeight;
-${mapped ? `uniform sampler2D albedoMap;\nuniform sampler2D packedMap;${mapAt}` : ""}
-${framed ? "uniform sampler2D normalMap;" : texels}
+uniform sampler2D albedoMap;
+uniform sampler2D packedMap;
+uniform sampler2D normalMap;${mapAt}
 vec2 folded(vec3 n) {
   vec2 at = n.xy / (abs(n.x) + abs(n.y) + abs(n.z));
   vec2 away = vec2(at.x >= 0.0 ? 1.0 : -1.0, at.y >= 0.0 ? 1.0 : -1.0);
@@ -108,10 +86,13 @@ vec2 folded(vec3 n) {
 }
 void main() {
   if (world.z < floorHeight) discard;
-  vec3 albedo;
-  vec2 rest;
-  ${mapped ? mappedMaterial(textures) : texelMaterial}
-  ${framed ? framedNormal(textures) : texelNormal}
+  vec3 albedo = ${found("albedoMap")}.rgb;
+  vec2 rest = ${found("packedMap")}.gb;
+  // As BakedScene.normals_at of Python.
+  vec3 n = normalize(upright), t = normalize(along.xyz);
+  vec3 b = normalize(sign(along.w) * cross(n, t));
+  vec3 local = 2.0 * ${found("normalMap")}.xyz - 1.0;
+  vec3 normal = normalize(local.x * t + local.y * b + local.z * n);
   uvec2 bytes = uvec2(round(clamp(rest, 0.0, 1.0) * 255.0));
   result = uvec4(
     packUnorm2x16(place),
@@ -170,30 +151,23 @@ export class Surface {
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(mesh.positionsXyz, 3));
     geometry.setAttribute("uv", new BufferAttribute(mesh.uv, 2));
-    const framed = textures.normalMap !== null;
-    if (framed) {
-      geometry.setAttribute("normal", new BufferAttribute(mesh.frames!.normalsXyz, 3));
-      geometry.setAttribute("tangent", new BufferAttribute(mesh.frames!.tangentsXyzw, 4));
-    }
+    geometry.setAttribute("normal", new BufferAttribute(mesh.normalsXyz, 3));
+    geometry.setAttribute("tangent", new BufferAttribute(mesh.tangentsXyzw, 4));
     geometry.setIndex(new BufferAttribute(mesh.indices, 1));
-    const { material } = textures.transport;
     this.mask = new RawShaderMaterial({
-      ...{ glslVersion: GLSL3, vertexShader: vertex(framed), fragmentShader: maskFragment },
+      ...{ glslVersion: GLSL3, vertexShader: vertex, fragmentShader: maskFragment },
       ...{ side: DoubleSide, blending: NoBlending, depthTest: false, depthWrite: false },
       uniforms: { floorHeight: this.#floor },
     });
     this.program = new RawShaderMaterial({
       glslVersion: GLSL3,
-      vertexShader: vertex(framed),
+      vertexShader: vertex,
       fragmentShader: fragment(textures),
       uniforms: {
         albedoMap: { value: textures.albedoMap },
         packedMap: { value: textures.packedMap },
         normalMap: { value: textures.normalMap },
         floorHeight: this.#floor,
-        surface: { value: textures.surface },
-        materialScales: { value: material === null ? null : normalisedScales(material) },
-        materialOffsets: { value: material?.offsets ?? null },
       },
       side: DoubleSide,
       blending: NoBlending,

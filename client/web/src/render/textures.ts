@@ -94,22 +94,19 @@ export class BundleTextures {
   /** As the atlas, filtered. */
   readonly visibility: DataArrayTexture;
   readonly indirect: DataArrayTexture;
-  /** The materials as the atlas, filtered; null where the mesh's textures are the materials and the normals. */
-  readonly surface: DataArrayTexture | null = null;
   readonly texelPlane: DataTexture;
   readonly blocksAround: DataTexture;
   readonly lobeTable: DataTexture;
   readonly uncertainty: Data3DTexture | null = null;
   /** The mesh's albedo, linear when it is looked up; as the next two with smaller versions. */
-  readonly albedoMap: Texture | null = null;
-  readonly packedMap: Texture | null = null;
-  readonly normalMap: Texture | null = null;
+  readonly albedoMap: Texture;
+  readonly packedMap: Texture;
+  readonly normalMap: Texture;
 
   constructor(
     readonly transport: PackedTransport,
     grid: UncertaintyGrid | null,
-    maps: MaterialMaps | null,
-    framed: boolean,
+    maps: MaterialMaps,
     /** Texels along a side of the largest texture that the graphics card takes. */
     largestSide: number,
   ) {
@@ -120,14 +117,10 @@ export class BundleTextures {
     this.blocksAround = numbers(transport.blocksAround, tableWidth, 4);
     this.lobeTable = lobeTexture(transport.visibility.bands);
     if (grid !== null) this.uncertainty = gridTexture(grid);
-    if (maps !== null) {
-      const albedo = fitted(maps.albedo, largestSide);
-      this.albedoMap = pictureTexture(albedo);
-      this.albedoMap.colorSpace = SRGBColorSpace;
-      this.packedMap = pictureTexture(fitted(maps.packed, largestSide));
-      if (framed) this.normalMap = pictureTexture(fitted(maps.normal, largestSide));
-    }
-    if (this.normalMap === null) this.surface = atlasPlanes(transport.material!, transport);
+    this.albedoMap = pictureTexture(fitted(maps.albedo, largestSide));
+    this.albedoMap.colorSpace = SRGBColorSpace;
+    this.packedMap = pictureTexture(fitted(maps.packed, largestSide));
+    this.normalMap = pictureTexture(fitted(maps.normal, largestSide));
   }
 
   /** Take all planes in where they were not all there; returns whether anything has changed. */
@@ -151,7 +144,7 @@ export class BundleTextures {
     for (const texture of this.all) texture.dispose();
     // Not before: a card that comes back after it was taken away gets them again.
     for (const map of [this.albedoMap, this.packedMap, this.normalMap]) {
-      (map?.image as ImageBitmap | undefined)?.close();
+      (map.image as ImageBitmap).close();
     }
   }
 }

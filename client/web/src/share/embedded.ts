@@ -22,7 +22,7 @@ if ("message" in shown) {
   element.setAttribute("alt", document.title);
   element.setAttribute("state", shown.state);
   element.setAttribute("src", shown.source);
-  // Bundles from before there were pictures have none.
+  // A bundle without baked transport has no poster.
   if (document.querySelector("meta[property='og:image']") !== null) {
     element.setAttribute("poster", shown.poster);
   }

@@ -10,7 +10,7 @@ import { isInWindow } from "./firstTurn.js";
 import { Interface } from "./interface.js";
 import { Poster } from "./poster.js";
 import { type Guest, seats } from "./seats.js";
-import { firstState, fromParameters, initialState, toParameters, type ViewerState } from "./state.js";
+import { fromParameters, initialState, toParameters, type ViewerState } from "./state.js";
 import { viewerSheet } from "./styles.js";
 import { Viewer } from "./viewer.js";
 import { texts } from "../words/words.js";
@@ -130,12 +130,8 @@ export class LambentViewerElement extends HTMLElement {
     root.append(this.#poster.element);
     this.#source = this.getAttribute("src") || this.#source;
     const state = this.getAttribute("state");
-    if (state !== null) {
-      const parameters = new URLSearchParams(state);
-      // What was shown before the element was taken out stays where the attribute says nothing.
-      const from = this.#state === initialState ? firstState(parameters) : this.#state;
-      this.#state = fromParameters(parameters, from);
-    }
+    // What was shown before the element was taken out stays where the attribute says nothing.
+    if (state !== null) this.#state = fromParameters(new URLSearchParams(state), this.#state);
     if (this.#source !== null) {
       this.#ready = new Promise((resolve) => {
         this.#promised = resolve;

@@ -12,7 +12,6 @@ import {
   type ToneCurve,
   toneCurves,
 } from "../render/looks.js";
-import { version1 } from "./versions.js";
 
 export const comparisons = ["off", "environment", "plain", "photo"] as const;
 export type Comparison = (typeof comparisons)[number];
@@ -97,20 +96,9 @@ function round(value: number): string {
   return String(Number(value.toFixed(3)));
 }
 
-/** The version of the addresses that are written: what is left out of one is as in `initialState`. */
-export const addressVersion = "2";
-
-/** Return the state of which an address says the differences: addresses without a version are of version 1. */
-export function firstState(parameters: URLSearchParams): ViewerState {
-  const names = Object.keys(flat(initialState));
-  // Version 1 always wrote a light, so that an address that says nothing of the view is of no version.
-  const isOld = !parameters.has("v") && names.some((name) => parameters.has(name));
-  return isOld ? version1 : initialState;
-}
-
 /** Return a state as the parameters of an address; what is as at the start is left out. */
 export function toParameters(state: ViewerState): URLSearchParams {
-  const found = new URLSearchParams({ v: addressVersion });
+  const found = new URLSearchParams();
   const first = flat(initialState);
   for (const [name, value] of Object.entries(flat(state))) {
     // A dropped file is not at any address.
@@ -154,10 +142,7 @@ export function flat(state: ViewerState): Record<string, string> {
  * Return the state of an address; what it does not say, or says wrongly, is as in `from`. Where no camera is stated
  * the pose is that of `from`, the same object, and so is the turn of the light where none is.
  */
-export function fromParameters(
-  parameters: URLSearchParams,
-  from: ViewerState = firstState(parameters),
-): ViewerState {
+export function fromParameters(parameters: URLSearchParams, from: ViewerState = initialState): ViewerState {
   const numbers = (name: string, fallback: readonly number[]): readonly number[] => {
     const parts = (parameters.get(name) ?? "")
       .split(",")

@@ -72,9 +72,9 @@ export const bundleFaults: BundleFaults = {
   otherFile: (path) => `„${path}“ ist nicht die Datei, die das Manifest beschreibt`,
   noText: "kein Text",
   manifestUnreadable: (reason) => `manifest.json ist nicht lesbar (${reason})`,
-  unknownVersion: (version) => [
-    `schema_version ist „${version}“, dieser Viewer kennt 1.x`,
-    "mit einem neueren Lambent öffnen oder mit einem passenden exportieren",
+  unknownVersion: (version, known) => [
+    `das Bundle hat die Formatversion „${version}“, dieser Viewer liest nur Version „${known}“`,
+    "das Bundle mit dieser Version von Lambent neu exportieren oder mit der öffnen, die es geschrieben hat",
   ],
   leavesBundle: (path) => `der Pfad „${path}“ führt aus dem Bundle hinaus`,
   listedTwice: "eine Datei ist doppelt aufgeführt",

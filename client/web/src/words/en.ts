@@ -80,9 +80,9 @@ export const bundleFaults = {
   otherFile: (path: string) => `"${path}" is not the file that the manifest describes`,
   noText: "it is not text",
   manifestUnreadable: (reason: string) => `manifest.json cannot be read (${reason})`,
-  unknownVersion: (version: string): Fault => [
-    `schema_version is "${version}", this viewer knows 1.x`,
-    "open it with a newer Lambent, or export it with a matching one",
+  unknownVersion: (version: string, known: string): Fault => [
+    `the bundle has format version "${version}", this viewer reads version "${known}" alone`,
+    "export the bundle again with this release, or open it with the release that wrote it",
   ],
   leavesBundle: (path: string) => `the path "${path}" leads out of the bundle`,
   listedTwice: "a file is listed twice",

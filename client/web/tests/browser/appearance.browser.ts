@@ -189,7 +189,7 @@ async function openViewer(context: BrowserContext, src: string | null, held?: He
   const page = await context.newPage();
   await answerAs(page, "full");
   if (held !== undefined) await page.route("**/data/bundle/**", held);
-  const state = { v: "2", env: "preset:studio", rotate: "0,0,0" };
+  const state = { env: "preset:studio", rotate: "0,0,0" };
   const hash = new URLSearchParams(src === null ? state : { ...state, src: `${inject("site")}/${src}` });
   await page.goto(`${inject("site")}/viewer.html#${hash}`);
   return page;

@@ -1,7 +1,7 @@
 import type { Browser, BrowserContext, CDPSession, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { openViewer } from "./support.js";
+import { fixedView, openViewer } from "./support.js";
 
 const size = { width: 480, height: 360 };
 let browser: Browser;
@@ -24,7 +24,7 @@ const rest = (of = page) => soon(() => drawn(of, 1500)).toBe(0);
 
 async function open(more: Parameters<Browser["newContext"]>[0] = {}): Promise<[BrowserContext, Page]> {
   const context = await browser.newContext({ viewport: size, ...more });
-  return [context, await openViewer(context, { env: "preset:studio" })];
+  return [context, await openViewer(context, { ...fixedView, env: "preset:studio" })];
 }
 
 beforeAll(async () => {

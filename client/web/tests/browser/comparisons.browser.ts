@@ -1,7 +1,7 @@
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { expectedPictures, meanDifference, openViewer, pictureOf } from "./support.js";
+import { expectedPictures, fixedView, meanDifference, openViewer, pictureOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
 let browser: Browser;
@@ -12,7 +12,10 @@ const update = (change: object) =>
 
 beforeAll(async () => {
   browser = await sharedChromium();
-  page = await openViewer(browser, { env: "preset:studio" }, "data/bundle/", { width: 480, height: 360 });
+  page = await openViewer(browser, { ...fixedView, env: "preset:studio" }, "data/bundle/", {
+    width: 480,
+    height: 360,
+  });
 });
 afterAll(() => closePages(browser));
 

@@ -1,7 +1,7 @@
 import type { Browser, BrowserContext, CDPSession, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { keep, meanDifference, openViewer, pictureOf } from "./support.js";
+import { fixedView, keep, meanDifference, openViewer, pictureOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
 const small = { width: 320, height: 240 };
@@ -27,7 +27,9 @@ describe("on a telephone", () => {
     page = await context.newPage();
     page.setDefaultTimeout(120_000);
     session = await context.newCDPSession(page);
-    await page.goto(`${inject("site")}/viewer.html#src=data/bundle/&env=preset:even`);
+    await page.goto(
+      `${inject("site")}/viewer.html#src=data/bundle/&env=preset:even&${new URLSearchParams(fixedView)}`,
+    );
     await page.waitForFunction(() => document.querySelector("lambent-viewer")?.viewer?.bundle != null);
     await page.evaluate(() => document.querySelector("lambent-viewer")!.ready);
   });
@@ -158,7 +160,7 @@ describe("a graphics card that is taken away", () => {
   it("is told, and when it comes back everything is drawn as before", async () => {
     const page = await openViewer(
       browser,
-      { env: "preset:sky", ground: "1", background: "transparent" },
+      { ...fixedView, env: "preset:sky", ground: "1", background: "transparent" },
       "data/bundle/",
       { width: 320, height: 240 },
     );
@@ -190,7 +192,12 @@ describe("a graphics card that is taken away", () => {
 
 describe("a card without targets of full floats, as in telephones", () => {
   it("shows the same picture", async () => {
-    const before = await openViewer(browser, { env: "preset:sky", ground: "1" }, "data/bundle/", small);
+    const before = await openViewer(
+      browser,
+      { ...fixedView, env: "preset:sky", ground: "1" },
+      "data/bundle/",
+      small,
+    );
     const wanted = await pictureOf(before, size);
     const context = await browser.newContext({ viewport: small });
     await context.addInitScript(() => {
@@ -203,7 +210,7 @@ describe("a card without targets of full floats, as in telephones", () => {
           : (plain as (name: string) => unknown).call(this, name);
       } as typeof plain;
     });
-    const page = await openViewer(context, { env: "preset:sky", ground: "1" });
+    const page = await openViewer(context, { ...fixedView, env: "preset:sky", ground: "1" });
     expect(meanDifference(await pictureOf(page, size), wanted)).toBe(0);
     const gl = await page.evaluate(() => {
       const { canvas } = document.querySelector("lambent-viewer")!.viewer!;
@@ -240,7 +247,7 @@ describe("a card without memory", () => {
 describe("a card with small textures", () => {
   it("draws a large canvas and large pictures part by part", async () => {
     const context = await browser.newContext({ viewport: { width: 1480, height: 400 } });
-    const plain = await openViewer(context, { env: "preset:sunset", background: "colour" });
+    const plain = await openViewer(context, { ...fixedView, env: "preset:sunset", background: "colour" });
     await context.addInitScript(() => {
       const prototype = WebGL2RenderingContext.prototype;
       const parameter = prototype.getParameter;
@@ -263,7 +270,7 @@ describe("a card with small textures", () => {
         });
       }
     });
-    const small = await openViewer(context, { env: "preset:sunset", background: "colour" });
+    const small = await openViewer(context, { ...fixedView, env: "preset:sunset", background: "colour" });
     const shown = (page: Page) =>
       page.evaluate(() => {
         const viewer = document.querySelector("lambent-viewer")!.viewer!;

@@ -5,14 +5,17 @@ import type { FilmPlan } from "../../src/film/plan.js";
 import { texts } from "../../src/words/en.js";
 import { momentAt, momentOf, planned } from "../../src/film/plan.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { announcements, keep, meanDifference, openViewer } from "./support.js";
+import { announcements, fixedView, keep, meanDifference, openViewer } from "./support.js";
 
 let browser: Browser;
 let page: Page;
 
 beforeAll(async () => {
   browser = await sharedChromium();
-  page = await openViewer(browser, { env: "preset:sky" }, "data/bundle/", { width: 800, height: 700 });
+  page = await openViewer(browser, { ...fixedView, env: "preset:sky" }, "data/bundle/", {
+    width: 800,
+    height: 700,
+  });
 });
 afterAll(() => closePages(browser));
 

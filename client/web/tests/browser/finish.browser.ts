@@ -1,14 +1,14 @@
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { expectedPictures, openViewer, pictureOf } from "./support.js";
+import { expectedPictures, fixedView, openViewer, pictureOf } from "./support.js";
 
 let browser: Browser;
 let page: Page;
 
 beforeAll(async () => {
   browser = await sharedChromium();
-  page = await openViewer(browser, { env: "preset:studio", background: "blurred" });
+  page = await openViewer(browser, { ...fixedView, env: "preset:studio", background: "blurred" });
 });
 afterAll(() => closePages(browser));
 

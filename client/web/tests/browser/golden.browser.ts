@@ -2,7 +2,7 @@ import type { Browser } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import type { ViewCamera } from "../../src/render/looks.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { fixtureFile, keep, meanDifference, openViewer, pictureOf } from "./support.js";
+import { fixedView, fixtureFile, keep, meanDifference, openViewer, pictureOf } from "./support.js";
 
 type Golden = { readonly bundle: string; readonly picture: string; readonly camera: ViewCamera };
 let browser: Browser;
@@ -23,11 +23,15 @@ beforeAll(async () => {
 });
 afterAll(() => closePages(browser));
 
-describe("a bundle of an earlier version", () => {
+describe("a golden bundle", () => {
   const all = JSON.parse(fixtureFile("golden.json").toString()) as Golden[];
 
   it.each(all)("is drawn as ever: $bundle", async ({ bundle, picture, camera }) => {
-    const page = await openViewer(browser, { tone: "linear", background: "transparent" }, `data/${bundle}`);
+    const page = await openViewer(
+      browser,
+      { ...fixedView, tone: "linear", background: "transparent" },
+      `data/${bundle}`,
+    );
     await page.evaluate(() =>
       document.querySelector("lambent-viewer")!.update({ environment: "url:data/golden.exr" }),
     );

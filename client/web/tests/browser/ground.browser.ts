@@ -5,7 +5,7 @@ import { rotateAboutZ } from "../lookup.js";
 import { type EnvironmentMap, pixelSolidAngle } from "../../src/engine/environmentMap.js";
 import { readExr } from "../../src/light/exrInput.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { fixtureFile, keep, meanDifference, openViewer, pictureOf } from "./support.js";
+import { fixedView, fixtureFile, keep, meanDifference, openViewer, pictureOf } from "./support.js";
 
 /** The boxes of tests/support/viewer_fixture.py; the ground is under the first. */
 const boxes = [
@@ -46,7 +46,12 @@ let page: Page;
 
 beforeAll(async () => {
   browser = await sharedChromium();
-  page = await openViewer(browser, { env: "preset:even", background: "transparent", ground: "1" });
+  page = await openViewer(browser, {
+    ...fixedView,
+    env: "preset:even",
+    background: "transparent",
+    ground: "1",
+  });
 });
 afterAll(() => closePages(browser));
 
@@ -171,10 +176,15 @@ describe("the shadow on the ground", () => {
 
 describe("the shadow on the ground while something moves", () => {
   it("becomes darker from frame to frame, and is whole at rest", async () => {
-    const own = await openViewer(browser, { env: "preset:even", background: "colour", ground: "1" }, null, {
-      width: 320,
-      height: 240,
-    });
+    const own = await openViewer(
+      browser,
+      { ...fixedView, env: "preset:even", background: "colour", ground: "1" },
+      null,
+      {
+        width: 320,
+        height: 240,
+      },
+    );
     const { means, rest } = await own.evaluate(async () => {
       const element = document.querySelector("lambent-viewer")!;
       const viewer = element.viewer!;

@@ -4,7 +4,7 @@ import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
 import { readExr } from "../../src/light/exrInput.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { fixtureFile, meanDifference, openViewer, pictureOf } from "./support.js";
+import { fixedView, fixtureFile, meanDifference, openViewer, pictureOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
 let browser: Browser;
@@ -33,7 +33,10 @@ async function drop(files: readonly { readonly name: string; readonly data: Buff
 
 beforeAll(async () => {
   browser = await sharedChromium();
-  page = await openViewer(browser, { env: "preset:studio" }, "data/bundle/", { width: 480, height: 360 });
+  page = await openViewer(browser, { ...fixedView, env: "preset:studio" }, "data/bundle/", {
+    width: 480,
+    height: 360,
+  });
 });
 afterAll(() => closePages(browser));
 
@@ -193,7 +196,7 @@ describe("addresses", () => {
     const shown = await pictureOf(page, size);
     const other = await openViewer(
       browser,
-      Object.fromEntries(new URLSearchParams(parameters)),
+      { ...fixedView, ...Object.fromEntries(new URLSearchParams(parameters)) },
       "data/bundle/",
       {
         width: 480,
@@ -208,7 +211,7 @@ describe("addresses", () => {
   });
 
   it("that a light cannot be fetched from leave the light before, as it stood", async () => {
-    const other = await openViewer(browser, { v: "2" }, "data/bundle/", { width: 320, height: 240 });
+    const other = await openViewer(browser, {}, "data/bundle/", { width: 320, height: 240 });
     const { before, after } = await other.evaluate(async () => {
       const element = document.querySelector("lambent-viewer")!;
       // Ends its first turn.
@@ -225,7 +228,7 @@ describe("addresses", () => {
   });
 
   it("with a light that is gone show the object in another one, and say so", async () => {
-    const other = await openViewer(browser, { env: "url:data/nothing.exr" }, "data/bundle/", {
+    const other = await openViewer(browser, { ...fixedView, env: "url:data/nothing.exr" }, "data/bundle/", {
       width: 320,
       height: 240,
     });

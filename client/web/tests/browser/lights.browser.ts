@@ -33,7 +33,7 @@ beforeAll(async () => {
       put.apply(this, given);
     } as typeof prototype.putImageData;
   });
-  page = await openViewer(context, { v: "2", env: "preset:studio", rotate: "0,0,0" });
+  page = await openViewer(context, { env: "preset:studio", rotate: "0,0,0" });
 });
 afterAll(() => closePages(browser));
 

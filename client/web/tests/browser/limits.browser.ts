@@ -2,7 +2,7 @@ import type { Browser, CDPSession, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
 import { scriptBytes } from "../../scripts/script_bytes.mjs";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { openViewer } from "./support.js";
+import { fixedView, openViewer } from "./support.js";
 
 let browser: Browser;
 let page: Page;
@@ -17,7 +17,7 @@ beforeAll(async () => {
     if (name.endsWith(".js")) loaded.add(name);
   });
   await context.addInitScript(countThings, kinds);
-  page = await openViewer(context, { env: "preset:studio" });
+  page = await openViewer(context, { ...fixedView, env: "preset:studio" });
   session = await context.newCDPSession(page);
 });
 afterAll(() => closePages(browser));

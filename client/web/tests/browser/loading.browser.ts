@@ -2,7 +2,7 @@ import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
 import { closePages, sharedChromium } from "../support/chromium.js";
 import { serveFolders } from "../support/server.js";
-import { fixtureFile, meanDifference, openViewer, pictureOf } from "./support.js";
+import { fixedView, fixtureFile, meanDifference, openViewer, pictureOf } from "./support.js";
 
 let browser: Browser;
 let page: Page;
@@ -69,7 +69,7 @@ describe("while a bundle is read", () => {
         if (/\/direct_sh\d\.bin$/.test(path) && share > 0.9) await held;
       },
     });
-    const look = { env: "preset:sunset", tone: "linear" };
+    const look = { ...fixedView, env: "preset:sunset", tone: "linear" };
     page = await openViewer(browser, look, null, undefined, site.url);
     await page.evaluate((src) => {
       const element = document.querySelector("lambent-viewer")!;
@@ -117,14 +117,14 @@ describe("while a bundle is read", () => {
 
 describe("pictures of a bundle", () => {
   it("are closed when another one is shown, and with the element", async () => {
-    page = await openViewer(browser, {}, "data/golden/ball_1.3.relight.zip");
+    page = await openViewer(browser, {}, "data/golden/ball.relight.zip");
     const widths = (change: "open" | "leave") =>
       page.evaluate(async (what) => {
         const element = document.querySelector("lambent-viewer")!;
         const { maps, unseen } = element.viewer!.bundle!;
         const all = [maps!.albedo, maps!.packed, maps!.normal, ...(unseen === null ? [] : [unseen])];
         const before = Math.max(...all.map(({ width }) => width));
-        if (what === "open") await element.show("data/golden/ball_1.3.relight.zip");
+        if (what === "open") await element.show("data/golden/ball.relight.zip");
         else element.remove();
         return [before, ...all.map(({ width }) => width)];
       }, change);
@@ -156,7 +156,7 @@ describe("the controls", () => {
     const held = new Promise<void>((resolve) => {
       release = resolve;
     });
-    page = await openViewer(browser, { env: `url:${inject("site")}/data/spots.exr` }, null);
+    page = await openViewer(browser, { ...fixedView, env: `url:${inject("site")}/data/spots.exr` }, null);
     await page.route("**/spots.exr", async (route) => {
       await held;
       await route.continue();

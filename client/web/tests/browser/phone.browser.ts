@@ -67,7 +67,7 @@ beforeAll(async () => {
     ...{ viewport: { width, height }, hasTouch: true, isMobile: true, reducedMotion: "reduce" },
     locale: "en-US",
   });
-  page = await openViewer(context, { v: "2", env: "preset:studio", rotate: "0,0,0" });
+  page = await openViewer(context, { env: "preset:studio", rotate: "0,0,0" });
   session = await context.newCDPSession(page);
 });
 afterAll(() => closePages(browser));
@@ -228,15 +228,10 @@ describe("on a phone", () => {
 
 describe("on a desk", () => {
   it("no choice is longer than its field", async () => {
-    const desk = await openViewer(
-      browser,
-      { v: "2", env: "preset:studio", rotate: "0,0,0" },
-      "data/bundle/",
-      {
-        width: 1280,
-        height: 800,
-      },
-    );
+    const desk = await openViewer(browser, { env: "preset:studio", rotate: "0,0,0" }, "data/bundle/", {
+      width: 1280,
+      height: 800,
+    });
     const long = await desk.evaluate(() => {
       const root = document.querySelector("lambent-viewer")!.shadowRoot!;
       for (const part of root.querySelectorAll("details")) part.open = true;

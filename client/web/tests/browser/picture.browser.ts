@@ -7,14 +7,22 @@ import { toHalf } from "../../src/engine/half.js";
 import { turnMatrix } from "../../src/render/light.js";
 import { encodeExr } from "../../src/viewer/save.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { expectedPictures, fixtureFile, keep, meanDifference, openViewer, pictureOf } from "./support.js";
+import {
+  expectedPictures,
+  fixedView,
+  fixtureFile,
+  keep,
+  meanDifference,
+  openViewer,
+  pictureOf,
+} from "./support.js";
 
 let browser: Browser;
 let page: Page;
 
 beforeAll(async () => {
   browser = await sharedChromium();
-  page = await openViewer(browser, { tone: "linear", background: "transparent" });
+  page = await openViewer(browser, { ...fixedView, tone: "linear", background: "transparent" });
 });
 afterAll(() => closePages(browser));
 

@@ -1,6 +1,7 @@
 import type { Browser, BrowserContext, Page } from "playwright-core";
 import { afterAll, beforeAll, expect, inject, it } from "vitest";
 import { closePages, sharedChromium } from "../support/chromium.js";
+import { fixedView } from "./support.js";
 
 type Link = { id: string; bundle_id: string; url: string; expires_at: string };
 
@@ -47,8 +48,9 @@ afterAll(() => closePages(browser));
 
 /** Open the viewer's page on a bundle. */
 async function open(src: string): Promise<void> {
+  const view = new URLSearchParams({ ...fixedView, rotate: "40,0,0" });
   await page.goto("about:blank");
-  await page.goto(`${inject("site")}/viewer.html#src=${src}&rotate=40,0,0`);
+  await page.goto(`${inject("site")}/viewer.html#src=${src}&${view}`);
   await page.waitForFunction(() => document.querySelector("lambent-viewer")?.viewer?.bundle != null);
 }
 

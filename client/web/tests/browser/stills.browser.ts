@@ -3,7 +3,7 @@ import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import { readExr } from "../../src/light/exrInput.js";
 import type { ViewCamera } from "../../src/render/looks.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
-import { announcements, keep, meanDifference, openViewer, pictureOf } from "./support.js";
+import { announcements, fixedView, keep, meanDifference, openViewer, pictureOf } from "./support.js";
 
 // More than one part in either direction.
 const size = { width: 260, height: 240 };
@@ -12,10 +12,15 @@ let page: Page;
 
 beforeAll(async () => {
   browser = await sharedChromium();
-  page = await openViewer(browser, { env: "preset:sunset", background: "colour" }, "data/bundle/", {
-    width: 900,
-    height: 700,
-  });
+  page = await openViewer(
+    browser,
+    { ...fixedView, env: "preset:sunset", background: "colour" },
+    "data/bundle/",
+    {
+      width: 900,
+      height: 700,
+    },
+  );
   await page.evaluate(() => {
     const viewer = document.querySelector("lambent-viewer")!.viewer!;
     viewer.refineOptions = { ...viewer.refineOptions, workers: 1, samplesPerPixel: 64, relativeError: 0.01 };
@@ -87,7 +92,7 @@ describe("a refined picture", () => {
     ["a graphics card that is taken away", "card"],
     ["an element that is taken out", "element"],
   ] as const)("is given up for %s, and says so", async (_, what) => {
-    const own = await openViewer(browser, { env: "preset:studio" }, "data/bundle/", {
+    const own = await openViewer(browser, { ...fixedView, env: "preset:studio" }, "data/bundle/", {
       width: 320,
       height: 240,
     });
@@ -102,7 +107,7 @@ describe("a refined picture", () => {
         );
       });
       if (change === "light") await element.update({ environment: "preset:even" });
-      if (change === "bundle") await element.show("data/golden/ball_1.3.relight.zip");
+      if (change === "bundle") await element.show("data/golden/ball.relight.zip");
       if (change === "card") {
         const gl = element.viewer!.canvas.getContext("webgl2")!;
         gl.getExtension("WEBGL_lose_context")!.loseContext();

@@ -33,7 +33,10 @@ export function fixtureFile(name: string): Buffer {
 }
 
 /** What nobody has chosen, but for the light, which then does not turn by itself. */
-const atRest = { v: "2", rotate: "0,0,0" };
+const atRest = { rotate: "0,0,0" };
+
+/** A view that the viewer neither frames nor exposes, without a shadow on the ground. */
+export const fixedView = { auto: "0", ground: "0", rotate: "0,0,0", camera: "30,20,3.2,0,0,0" };
 
 /** Open the viewer's page; `parameters` follow the hash, with src unless it is null. */
 export async function openViewer(

@@ -24,7 +24,7 @@ beforeAll(async () => {
     viewport: { width: 900, height: 600 },
     reducedMotion: "reduce",
   });
-  page = await openViewer(context, { v: "2", env: "preset:studio", rotate: "0,0,0" });
+  page = await openViewer(context, { env: "preset:studio", rotate: "0,0,0" });
 });
 afterAll(() => closePages(browser));
 
@@ -37,7 +37,7 @@ describe("the page's address", () => {
       turn: { yawDeg: 25, pitchDeg: 5, rollDeg: 0, intensity: 1.5 },
     });
     await expect.poll(() => told().get("rotate")).toBe("25,5,0");
-    expect([told().get("v"), told().get("env"), told().get("src")]).toEqual(["2", "preset:sky", source]);
+    expect([told().get("env"), told().get("src")]).toEqual(["preset:sky", source]);
     const [before, length] = [await state(), await page.evaluate(() => history.length)];
     await page.reload();
     await page.waitForFunction(() => document.querySelector("lambent-viewer")?.viewer?.bundle != null);

@@ -19,7 +19,7 @@ afterAll(() => closePages(browser));
 
 async function opened(locale: string, width: number, height: number, src?: null): Promise<Page> {
   const context = await browser.newContext({ locale, viewport: { width, height }, reducedMotion: "reduce" });
-  return openViewer(context, { v: "2", env: "preset:studio" }, src === null ? null : "data/bundle/");
+  return openViewer(context, { env: "preset:studio" }, src === null ? null : "data/bundle/");
 }
 
 /** Open all parts of the panel. */

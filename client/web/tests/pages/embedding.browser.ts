@@ -6,7 +6,7 @@ import { JobServer } from "./server.js";
 import { Site } from "./site.js";
 import { choose, coloursOf, folderOf, keepPicture, live, shown } from "./support.js";
 
-const archive = resolve(import.meta.dirname, "../../../../tests/golden/bundles/ball_1.3.relight.zip");
+const archive = resolve(import.meta.dirname, "../../../../tests/golden/bundles/ball.relight.zip");
 
 type Share = { readonly id: string; readonly url: string; readonly frame_ancestors: string[] };
 

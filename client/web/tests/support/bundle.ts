@@ -18,24 +18,45 @@ function bytes(values: ArrayLike<number>): Bytes {
   return Uint8Array.from(values);
 }
 
-/**
- * Return a GLB of one triangle; `pictures` are the files of its base colour, and of its other textures; `frames` are
- * the numbers of its normals and tangents.
- */
+/** Return the start of a PNG file that states a size. */
+export function pngHead(width: number, height: number): number[] {
+  const head = Buffer.from(
+    `89504e470d0a1a0a0000000d49484452${"00".repeat(8)}0802000000${"00".repeat(4)}`,
+    "hex",
+  );
+  head.writeUInt32BE(width, 16);
+  head.writeUInt32BE(height, 20);
+  return [...head];
+}
+
+/** The files of a base colour, and of the other textures, as the tiny bundle's manifest states them. */
+export const pictures: readonly number[][] = [
+  [...pngHead(8, 8), 7],
+  [...pngHead(4, 4), 5],
+  [...pngHead(4, 4), 6],
+];
+
+/** Normals and tangents. */
+export const frames = {
+  normals: [0, 0, 1, 0, 1, 0, 1, 0, 0],
+  tangents: [1, 0, 0, 1, 1, 0, 0, 1, 0, 1, 0, -1],
+};
+
+/** Return a GLB of one triangle with textures, unless `files` is empty. */
 export function triangleGlb(
   positions = [0, 0, 0, 1, 0, 0, 0, 1, 0],
   indices = [0, 1, 2],
-  pictures: readonly number[][] = [],
-  frames: { readonly normals: readonly number[]; readonly tangents: readonly number[] } | null = null,
+  files = pictures,
+  { normals, tangents } = frames,
 ): Bytes {
   const numbers = Buffer.concat([
     Buffer.from(new Float32Array(positions).buffer),
     Buffer.from(new Float32Array([0, 0, 1, 0, 0, 1]).buffer),
     Buffer.from(new Uint32Array(indices).buffer),
   ]);
-  const shading = frames === null ? [] : [frames.normals, frames.tangents];
+  const shading = [normals, tangents];
   const floats = shading.map((values) => Buffer.from(new Float32Array(values).buffer));
-  const parts = [...pictures.map((picture) => Buffer.from(picture)), ...floats];
+  const parts = [...files.map((file) => Buffer.from(file)), ...floats];
   const data = Buffer.concat([numbers, ...parts]);
   const views = [
     { buffer: 0, byteOffset: 0, byteLength: 36 },
@@ -53,25 +74,25 @@ export function triangleGlb(
   };
   const textured = {
     materials: [material],
-    textures: pictures.map((_, index) => ({ source: index })),
-    images: pictures.map((_, index) => ({ bufferView: 3 + index })),
+    textures: files.map((_, index) => ({ source: index })),
+    images: files.map((_, index) => ({ bufferView: 3 + index })),
   };
   const accessors = [
     { bufferView: 0, componentType: 5126, count: 3, type: "VEC3" },
     { bufferView: 1, componentType: 5126, count: 3, type: "VEC2" },
     { bufferView: 2, componentType: 5125, count: indices.length, type: "SCALAR" },
     ...shading.map((values, index) => ({
-      ...{ bufferView: 3 + pictures.length + index, componentType: 5126 },
+      ...{ bufferView: 3 + files.length + index, componentType: 5126 },
       ...{ count: Math.floor(values.length / (3 + index)), type: index === 0 ? "VEC3" : "VEC4" },
     })),
   ];
-  const framed = frames === null ? {} : { NORMAL: 3, TANGENT: 4 };
-  const primitives = [{ attributes: { POSITION: 0, TEXCOORD_0: 1, ...framed }, indices: 2 }];
+  const attributes = { POSITION: 0, TEXCOORD_0: 1, NORMAL: 3, TANGENT: 4 };
+  const primitives = [{ attributes, indices: 2 }];
   let text = JSON.stringify({
     meshes: [{ primitives }],
     bufferViews: views,
     accessors,
-    ...(pictures.length > 0 ? textured : {}),
+    ...(files.length > 0 ? textured : {}),
   });
   text += " ".repeat((4 - (text.length % 4)) % 4);
   const head = Buffer.alloc(20);
@@ -99,17 +120,16 @@ export function tinyBundle(): TinyBundle {
     ["transport/material.bin", planes(8, 6)],
     ["transport/shadow_bits.bin", bytes(Array.from({ length: 6 * 32 }, (_, index) => index % 251))],
   ]);
-  const set = (name: string, path: string, channels: number, numTexels: number) => ({
+  const set = (name: string, path: string, channels: number) => ({
     name,
     path,
     bands: 1,
     channels,
-    num_texels: numTexels,
     scales: new Array<number>(channels).fill(0.01),
     offsets: new Array<number>(channels).fill(0.5),
   });
   const manifest: Manifest = {
-    schema_version: "1.1",
+    schema_version: "1",
     scene_id: "tiny",
     name: "tiny",
     train_lights: [],
@@ -122,16 +142,18 @@ export function tinyBundle(): TinyBundle {
     bounds: { minimum: [-1, -1, -1], maximum: [1, 1, 1] },
     albedo_scale_rgb: [1, 1, 1],
     files: [],
+    atlas: {
+      ...{ size: 8, material_size: 4, texel_size: 0.1, albedo_source: "photographs" },
+    },
     transport: {
-      tier: "full",
       size: 4,
       num_texels: 6,
       texels_path: "transport/texels.bin",
       planes: [
-        set("direct", "transport/direct_sh7.bin", 1, 6),
-        set("visibility", "transport/visibility_sh4.bin", 1, 6),
-        set("indirect", "transport/indirect_sh3.bin", 3, 3),
-        set("material", "transport/material.bin", 8, 6),
+        set("direct", "transport/direct_sh7.bin", 1),
+        set("visibility", "transport/visibility_sh4.bin", 1),
+        set("indirect", "transport/indirect_sh3.bin", 3),
+        set("material", "transport/material.bin", 8),
       ],
       shadow_bits_path: "transport/shadow_bits.bin",
       num_shadow_directions: 256,

@@ -6,9 +6,11 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from lambent_asset.bundle.parity import compare
+from flashcache.export.stored_grids import exported_grids
+from lambent_asset.bundle.parity import compare, fits_half, rounding_of, with_half_tables
 from lambent_core.errors import WorkerError
 from onnx import TensorProto, helper, numpy_helper
+from support.sphere_model import sphere_model
 
 MODEL = torch.nn.Linear(1, 1)
 
@@ -157,3 +159,54 @@ def test_an_output_on_the_edge_at_which_another_jumps_does_not_count(tmp_path, m
         compare("jump", graph, jump, MODEL, inputs(1.000002e-3))
     with pytest.raises(WorkerError, match=r"1 of 1000"):
         compare("jump", jumping_graph(tmp_path, 1.2e-3), jump, MODEL, inputs(1.1e-3), edge=edge)
+
+
+@pytest.mark.parametrize("gloss_grid", [False, True])
+@pytest.mark.parametrize("scale", [1.0, 10.0])
+def test_only_exported_tables_are_rounded_as_readers_see_them_and_the_model_itself_is_not(scale, gloss_grid):
+    model = sphere_model(output_scale=scale, gloss_grid=gloss_grid)
+    before = {name: value.clone() for name, value in model.named_parameters()}
+    rounded = dict(with_half_tables(model).named_parameters())
+    tables = {f"{name}.table" for name in exported_grids(model)}
+    # It is stored as further levels of the other.
+    tables |= {"materials.gloss.grid.table"} if gloss_grid else set()
+    for name, value in model.named_parameters():
+        assert torch.equal(value, before[name])
+        changed = not torch.equal(value, rounded[name])
+        assert changed == (name in tables), name
+        if changed:
+            assert torch.equal(rounded[name], (scale * value).half().float())
+
+
+@pytest.mark.parametrize("scale", [1.0, 10.0])
+def test_features_beyond_float16_are_noticed(scale):
+    model = sphere_model(output_scale=scale)
+    assert fits_half(model)
+    with torch.no_grad():
+        model.fast.feature_grid.table[-1, -1] = -65_520.0 / scale
+    assert not fits_half(model)
+
+
+def test_errors_count_by_how_much_of_the_ray_is_seen():
+    exact = {
+        "opacity": np.array([[1.0], [0.0]]),
+        "radiance": np.zeros((2, 3)),
+        "distance": np.array([[4.0], [4.0]]),
+    }
+    rounded = {
+        "opacity": exact["opacity"] + 0.1,
+        "radiance": exact["radiance"] + 0.2,
+        "distance": exact["distance"] + np.array([[1.0], [100.0]]),
+    }
+    found = {item.output: item for item in rounding_of(rounded, exact)}
+    assert np.isclose(found["opacity"].rms_error, 0.1)
+    assert np.isclose(found["radiance"].max_abs_error, 0.2)
+    # Relative above 1; the second ray sees nothing, so its distance says nothing.
+    assert np.isclose(found["distance"].max_abs_error, 0.25)
+    assert np.isclose(found["distance"].rms_error, 0.25 / np.sqrt(2.0))
+    assert found["distance"].num_samples == 2
+
+
+def test_properties_of_points_count_in_full_without_an_opacity():
+    (found,) = rounding_of({"albedo": np.full((1, 3), 0.6)}, {"albedo": np.full((1, 3), 0.5)})
+    assert np.isclose(found.rms_error, 0.1)

@@ -89,7 +89,7 @@ def test_transport_is_that_of_the_exact_shapes(tmp_path):
         advance=lambda share: None,
     )
     expected = BundleManifest()
-    files = transport_files(exact, expected, tier="full")
+    files = transport_files(exact, expected)
     for planes, wanted in zip(manifest.transport.planes, expected.transport.planes, strict=True):
         values = [
             np.frombuffer(data, np.int8).reshape(stated.channels * max(stated.bands, 1) ** 2, -1)

@@ -55,15 +55,6 @@ def test_normals_are_the_meshs_with_the_detail_of_the_normal_map(lean):
     np.testing.assert_allclose(np.sum(found * flat, axis=1), lean[2], atol=0.01)
 
 
-def test_without_frames_normals_are_bilinear_between_texels():
-    glb = write_glb(BOX, coloured(BOX), unit="unknown")
-    mesh = replace(mesh_from_glb(glb), tangents=None)
-    scene = baked_scene(mesh, transport_of(BOX), material_maps(glb, 0.1, 32))
-    places = places_of(scene)
-    found = scene.normals_at(places, np.zeros(len(places.uv), np.float32))
-    np.testing.assert_allclose(found, places(mesh.normals), atol=0.02)
-
-
 def test_indirect_light_is_bilinear_between_blocks_and_stays_in_its_chart():
     walls, _, mesh = surface_of(box_of_quads(), 8)
     normals = np.zeros_like(walls.positions) + walls.normals

@@ -74,7 +74,3 @@ def test_a_texture_that_says_what_the_model_says_changes_nothing(seen):
     mesh = write_glb(BOX, textures, unit="unknown")
     same = SurfaceDetail.of(replace(SCENE, maps=material_maps(mesh, BOX.texel_size, BOX.size)))
     np.testing.assert_allclose(same.applied(hits, CAMERA, ray).albedo, hits.albedo, rtol=0.02)
-
-
-def test_bundles_without_textures_of_their_own_have_no_detail():
-    assert SurfaceDetail.of(SCENE) is None

@@ -8,6 +8,7 @@ from pathlib import Path
 import grpc
 import pytest
 from google.protobuf.json_format import MessageToJson
+from lambent_proto import BUNDLE_VERSION
 from lambent_proto.v1 import bundle_pb2, worker_pb2
 from support.runs import Stage, metadata, refused, staged, token
 
@@ -20,10 +21,10 @@ def stage(tmp_path: Path) -> Iterator[Stage]:
         yield stage
 
 
-def publish(stage: Stage, job: str, run: int = 1, **files: bytes) -> str:
+def publish(stage: Stage, job: str, run: int = 1, version: str = BUNDLE_VERSION, **files: bytes) -> str:
     """Publish a bundle of these files as a run."""
     contents = {name.replace("_", "."): data for name, data in files.items()} or {"weights.bin": b"weights"}
-    manifest = bundle_pb2.BundleManifest(schema_version="1.0")
+    manifest = bundle_pb2.BundleManifest(schema_version=version)
     for name, data in contents.items():
         manifest.files.add(path=name, sha256=hashlib.sha256(data).hexdigest())
     contents["manifest.json"] = MessageToJson(manifest, preserving_proto_field_name=True).encode()
@@ -32,6 +33,17 @@ def publish(stage: Stage, job: str, run: int = 1, **files: bytes) -> str:
         for name, data in contents.items()
     ]
     return str(stage.call("Publish", job, run, bundle_files=listed).bundle_id)
+
+
+@pytest.mark.parametrize("version", ["", "1.3", "2"])
+def test_a_bundle_of_another_version_is_refused_with_what_to_do(stage: Stage, version: str):
+    job = stage.start()
+    with refused(grpc.StatusCode.INVALID_ARGUMENT) as caught:
+        publish(stage, job, version=version)
+    told = caught.value.details()
+    assert (
+        f"format version '{version}', this server takes version '1' alone; install the same release" in told
+    )
 
 
 def test_only_the_current_run_is_heard(stage: Stage):

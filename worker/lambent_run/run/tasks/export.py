@@ -11,8 +11,8 @@ from flashcache.export.reference import GbufferRule
 from flashcache.physical.model import InverseModel
 from flashcache.training.checkpoint import latest_checkpoint
 from lambent_asset.bundle.graphs import remove_networks, write_graphs
-from lambent_asset.bundle.manifest import new_manifest, write_manifest
-from lambent_asset.bundle.parity import ParityResult
+from lambent_asset.bundle.manifest import new_manifest, write_manifest, write_uncertainty
+from lambent_asset.bundle.parity import MOST_ROUNDING, ParityResult, fits_half, with_half_tables
 from lambent_asset.bundle.poster import try_poster
 from lambent_asset.bundle.surface_files import pixel_size, write_asset, written_caches
 from lambent_asset.bundle.transport_files import (
@@ -20,10 +20,8 @@ from lambent_asset.bundle.transport_files import (
     write_relight_graph,
     write_transport,
 )
-from lambent_asset.bundle.uncertainty import write_uncertainty
-from lambent_asset.mesh.cameras import relight_camera
 from lambent_asset.mesh.mesh import Corner, occupied_box
-from lambent_asset.textures.half_tables import MOST_ROUNDING, fits_half, with_half_tables
+from lambent_asset.mesh.mesh_depth import relight_camera
 from lambent_asset.textures.photo_albedo import Photographs, albedo_texture, automatic_size
 from lambent_asset.textures.surface import AtlasSurface, build_surface
 from lambent_asset.transport.transport import TransportConfig
@@ -193,7 +191,7 @@ def _write_surface(
             advance=baked,
         )
         if tier != "none":
-            write_transport(transport, manifest, folder, tier=tier)
+            write_transport(transport, manifest, folder)
             manifest.metrics.update(figures)
         _advance(context, 4)
         if settings.albedo == "photographs":

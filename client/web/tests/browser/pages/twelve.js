@@ -9,7 +9,10 @@ for (let index = 0; index < Number(parameters.get("count")); index++) {
     const value = parameters.get(name);
     if (value !== null) element.setAttribute(name, value);
   }
-  element.setAttribute("state", parameters.get("state") ?? "env=preset:even");
+  element.setAttribute(
+    "state",
+    parameters.get("state") ?? `env=preset:even&auto=0&ground=0&rotate=0,0,0&camera=30,20,3.2,0,0,0`,
+  );
   const told = [];
   element.told = told;
   for (const event of ["progress", "load", "error", "camera-change", "light-change"]) {

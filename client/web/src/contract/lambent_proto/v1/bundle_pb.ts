@@ -6,7 +6,7 @@
 
 import type { GenFile, GenMessage } from "@bufbuild/protobuf/codegenv2";
 import { fileDesc, messageDesc } from "@bufbuild/protobuf/codegenv2";
-import type { Bounds, RayRange } from "./scene_pb.js";
+import type { Bounds } from "./scene_pb.js";
 import { file_lambent_proto_v1_scene } from "./scene_pb.js";
 import type { Message } from "@bufbuild/protobuf";
 
@@ -14,7 +14,7 @@ import type { Message } from "@bufbuild/protobuf";
  * Describes the file lambent_proto/v1/bundle.proto.
  */
 export const file_lambent_proto_v1_bundle: GenFile = /*@__PURE__*/
-  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL2J1bmRsZS5wcm90bxIQbGFtYmVudF9wcm90by52MSKVBwoOQnVuZGxlTWFuaWZlc3QSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSEAoIc2NlbmVfaWQYAiABKAkSDAoEbmFtZRgDIAEoCRISCgpjcmVhdGVkX2F0GAQgASgJEi4KCWdlbmVyYXRvchgFIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuR2VuZXJhdG9yEg4KBnByZXNldBgGIAEoCRIUCgx0cmFpbl9saWdodHMYByADKAkSJgoFd29ybGQYCCABKAsyFy5sYW1iZW50X3Byb3RvLnYxLldvcmxkEigKBmJvdW5kcxgJIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjAKDHByaW1hcnlfcmF5cxgKIAEoCzIaLmxhbWJlbnRfcHJvdG8udjEuUmF5UmFuZ2USNwoOc2Vjb25kYXJ5X3JheXMYCyABKAsyHy5sYW1iZW50X3Byb3RvLnYxLlNlY29uZGFyeVJheXMSKwoFZmlsZXMYDCADKAsyHC5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZUZpbGUSJwoGZ3JhcGhzGA0gAygLMhcubGFtYmVudF9wcm90by52MS5HcmFwaBIlCgVncmlkcxgOIAMoCzIWLmxhbWJlbnRfcHJvdG8udjEuR3JpZBIuCgd0ZW5zb3JzGA8gAygLMh0ubGFtYmVudF9wcm90by52MS5UZW5zb3JFbnRyeRIYChBhbGJlZG9fc2NhbGVfcmdiGBAgAygBEj4KB21ldHJpY3MYESADKAsyLS5sYW1iZW50X3Byb3RvLnYxLkJ1bmRsZU1hbmlmZXN0Lk1ldHJpY3NFbnRyeRIyCgt1bmNlcnRhaW50eRgSIAEoCzIdLmxhbWJlbnRfcHJvdG8udjEuVW5jZXJ0YWludHkSJgoFYXRsYXMYEyABKAsyFy5sYW1iZW50X3Byb3RvLnYxLkF0bGFzEi4KCXRyYW5zcG9ydBgUIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuVHJhbnNwb3J0EjAKC21lc2hfbGV2ZWxzGBUgAygLMhsubGFtYmVudF9wcm90by52MS5NZXNoTGV2ZWwSLwoKZ2l2ZW5fbWVzaBgYIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuR2l2ZW5NZXNoGi4KDE1ldHJpY3NFbnRyeRILCgNrZXkYASABKAkSDQoFdmFsdWUYAiABKAE6AjgBIlQKCUdpdmVuTWVzaBIMCgRuYW1lGAEgASgJEg4KBnNoYTI1NhgCIAEoCRIPCgdrZXB0X3V2GAMgASgIEhgKEHNoYXJlX2Zyb21fbW9kZWwYBCABKAEiQgoJTWVzaExldmVsEgwKBHBhdGgYASABKAkSEQoJbnVtX2ZhY2VzGAIgASgNEhQKDHRleHR1cmVfc2l6ZRgDIAEoDSJUCglHZW5lcmF0b3ISDAoEbmFtZRgBIAEoCRIPCgd2ZXJzaW9uGAIgASgJEhQKDGdpdF9yZXZpc2lvbhgDIAEoCRISCgp0cmFpbl9zdGVwGAQgASgNImwKBVdvcmxkEg8KB3VwX2F4aXMYASABKAkSEgoKaGFuZGVkbmVzcxgCIAEoCRIMCgR1bml0GAMgASgJEh4KFmVudmlyb25tZW50X2NvbnZlbnRpb24YBCABKAkSEAoIcmFkaWFuY2UYBSABKAkigAEKBUF0bGFzEgwKBHNpemUYASABKA0SEgoKbnVtX3RleGVscxgCIAEoDRISCgp0ZXhlbF9zaXplGAMgASgBEhUKDW1hdGVyaWFsX3NpemUYBCABKA0SFQoNYWxiZWRvX3NvdXJjZRgFIAEoCRITCgt1bnNlZW5fcGF0aBgGIAEoCSJBCg1TZWNvbmRhcnlSYXlzEhUKDW9yaWdpbl9vZmZzZXQYASABKAESDAoEbmVhchgCIAEoARILCgNmYXIYAyABKAEiYAoKQnVuZGxlRmlsZRIMCgRwYXRoGAEgASgJEhIKCnNpemVfYnl0ZXMYAiABKAESDgoGc2hhMjU2GAMgASgJEhIKCm1lZGlhX3R5cGUYBCABKAkSDAoEcm9sZRgFIAEoCSKKAQoFR3JhcGgSDAoEbmFtZRgBIAEoCRIMCgRwYXRoGAIgASgJEg0KBWxpZ2h0GAMgASgJEigKBnBhcml0eRgEIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuUGFyaXR5EiwKCHJvdW5kaW5nGAUgAygLMhoubGFtYmVudF9wcm90by52MS5Sb3VuZGluZyJZCghSb3VuZGluZxIOCgZvdXRwdXQYASABKAkSFQoNbWF4X2Fic19lcnJvchgCIAEoARIRCglybXNfZXJyb3IYAyABKAESEwoLbnVtX3NhbXBsZXMYBCABKA0iVAoLVW5jZXJ0YWludHkSDAoEcGF0aBgBIAEoCRIlCgNib3gYAiABKAsyGC5sYW1iZW50X3Byb3RvLnYxLkJvdW5kcxIQCghjaGFubmVscxgDIAMoCSK8AQoJVHJhbnNwb3J0EgwKBHRpZXIYASABKAkSDAoEc2l6ZRgCIAEoDRISCgpudW1fdGV4ZWxzGAMgASgNEhMKC3RleGVsc19wYXRoGAQgASgJEjEKBnBsYW5lcxgFIAMoCzIhLmxhbWJlbnRfcHJvdG8udjEuVHJhbnNwb3J0UGxhbmVzEhgKEHNoYWRvd19iaXRzX3BhdGgYBiABKAkSHQoVbnVtX3NoYWRvd19kaXJlY3Rpb25zGAcgASgNIoMBCg9UcmFuc3BvcnRQbGFuZXMSDAoEbmFtZRgBIAEoCRIMCgRwYXRoGAIgASgJEg0KBWJhbmRzGAMgASgNEhAKCGNoYW5uZWxzGAQgASgNEhIKCm51bV90ZXhlbHMYBSABKA0SDgoGc2NhbGVzGAYgAygBEg8KB29mZnNldHMYByADKAEiRwoGUGFyaXR5EhUKDW1heF9hYnNfZXJyb3IYASABKAESEQoJdG9sZXJhbmNlGAIgASgBEhMKC251bV9zYW1wbGVzGAMgASgNIpIBCgRHcmlkEgwKBG5hbWUYASABKAkSDgoGdGVuc29yGAIgASgJEhQKDG51bV9mZWF0dXJlcxgDIAEoDRITCgtoYWxmX2V4dGVudBgEIAEoARIUCgxvdXRwdXRfc2NhbGUYBSABKAESKwoGbGV2ZWxzGAYgAygLMhsubGFtYmVudF9wcm90by52MS5HcmlkTGV2ZWwicAoJR3JpZExldmVsEhIKCnJlc29sdXRpb24YASABKA0SEQoJZmlyc3Rfcm93GAIgASgNEhAKCG51bV9yb3dzGAMgASgNEhQKDG11bHRpcGxpZXJfeRgEIAEoDRIUCgxtdWx0aXBsaWVyX3oYBSABKA0iYwoLVGVuc29yRW50cnkSDAoEbmFtZRgBIAEoCRINCgVkdHlwZRgCIAEoCRINCgVzaGFwZRgDIAMoDRIUCgxvZmZzZXRfYnl0ZXMYBCABKAESEgoKc2l6ZV9ieXRlcxgFIAEoAWIGcHJvdG8z", [file_lambent_proto_v1_scene]);
+  fileDesc("Ch1sYW1iZW50X3Byb3RvL3YxL2J1bmRsZS5wcm90bxIQbGFtYmVudF9wcm90by52MSLjBgoOQnVuZGxlTWFuaWZlc3QSFgoOc2NoZW1hX3ZlcnNpb24YASABKAkSEAoIc2NlbmVfaWQYAiABKAkSDAoEbmFtZRgDIAEoCRISCgpjcmVhdGVkX2F0GAQgASgJEi4KCWdlbmVyYXRvchgFIAEoCzIbLmxhbWJlbnRfcHJvdG8udjEuR2VuZXJhdG9yEg4KBnByZXNldBgGIAEoCRIUCgx0cmFpbl9saWdodHMYByADKAkSJgoFd29ybGQYCCABKAsyFy5sYW1iZW50X3Byb3RvLnYxLldvcmxkEigKBmJvdW5kcxgJIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEjcKDnNlY29uZGFyeV9yYXlzGAogASgLMh8ubGFtYmVudF9wcm90by52MS5TZWNvbmRhcnlSYXlzEisKBWZpbGVzGAsgAygLMhwubGFtYmVudF9wcm90by52MS5CdW5kbGVGaWxlEicKBmdyYXBocxgMIAMoCzIXLmxhbWJlbnRfcHJvdG8udjEuR3JhcGgSJQoFZ3JpZHMYDSADKAsyFi5sYW1iZW50X3Byb3RvLnYxLkdyaWQSLgoHdGVuc29ycxgOIAMoCzIdLmxhbWJlbnRfcHJvdG8udjEuVGVuc29yRW50cnkSGAoQYWxiZWRvX3NjYWxlX3JnYhgPIAMoARI+CgdtZXRyaWNzGBAgAygLMi0ubGFtYmVudF9wcm90by52MS5CdW5kbGVNYW5pZmVzdC5NZXRyaWNzRW50cnkSMgoLdW5jZXJ0YWludHkYESABKAsyHS5sYW1iZW50X3Byb3RvLnYxLlVuY2VydGFpbnR5EiYKBWF0bGFzGBIgASgLMhcubGFtYmVudF9wcm90by52MS5BdGxhcxIuCgl0cmFuc3BvcnQYEyABKAsyGy5sYW1iZW50X3Byb3RvLnYxLlRyYW5zcG9ydBIwCgttZXNoX2xldmVscxgUIAMoCzIbLmxhbWJlbnRfcHJvdG8udjEuTWVzaExldmVsEi8KCmdpdmVuX21lc2gYFSABKAsyGy5sYW1iZW50X3Byb3RvLnYxLkdpdmVuTWVzaBouCgxNZXRyaWNzRW50cnkSCwoDa2V5GAEgASgJEg0KBXZhbHVlGAIgASgBOgI4ASJUCglHaXZlbk1lc2gSDAoEbmFtZRgBIAEoCRIOCgZzaGEyNTYYAiABKAkSDwoHa2VwdF91dhgDIAEoCBIYChBzaGFyZV9mcm9tX21vZGVsGAQgASgBIkIKCU1lc2hMZXZlbBIMCgRwYXRoGAEgASgJEhEKCW51bV9mYWNlcxgCIAEoDRIUCgx0ZXh0dXJlX3NpemUYAyABKA0iVAoJR2VuZXJhdG9yEgwKBG5hbWUYASABKAkSDwoHdmVyc2lvbhgCIAEoCRIUCgxnaXRfcmV2aXNpb24YAyABKAkSEgoKdHJhaW5fc3RlcBgEIAEoDSJsCgVXb3JsZBIPCgd1cF9heGlzGAEgASgJEhIKCmhhbmRlZG5lc3MYAiABKAkSDAoEdW5pdBgDIAEoCRIeChZlbnZpcm9ubWVudF9jb252ZW50aW9uGAQgASgJEhAKCHJhZGlhbmNlGAUgASgJImwKBUF0bGFzEgwKBHNpemUYASABKA0SEgoKdGV4ZWxfc2l6ZRgCIAEoARIVCg1tYXRlcmlhbF9zaXplGAMgASgNEhUKDWFsYmVkb19zb3VyY2UYBCABKAkSEwoLdW5zZWVuX3BhdGgYBSABKAkiQQoNU2Vjb25kYXJ5UmF5cxIVCg1vcmlnaW5fb2Zmc2V0GAEgASgBEgwKBG5lYXIYAiABKAESCwoDZmFyGAMgASgBIkwKCkJ1bmRsZUZpbGUSDAoEcGF0aBgBIAEoCRISCgpzaXplX2J5dGVzGAIgASgBEg4KBnNoYTI1NhgDIAEoCRIMCgRyb2xlGAQgASgJIooBCgVHcmFwaBIMCgRuYW1lGAEgASgJEgwKBHBhdGgYAiABKAkSDQoFbGlnaHQYAyABKAkSKAoGcGFyaXR5GAQgASgLMhgubGFtYmVudF9wcm90by52MS5QYXJpdHkSLAoIcm91bmRpbmcYBSADKAsyGi5sYW1iZW50X3Byb3RvLnYxLlJvdW5kaW5nIlkKCFJvdW5kaW5nEg4KBm91dHB1dBgBIAEoCRIVCg1tYXhfYWJzX2Vycm9yGAIgASgBEhEKCXJtc19lcnJvchgDIAEoARITCgtudW1fc2FtcGxlcxgEIAEoDSJUCgtVbmNlcnRhaW50eRIMCgRwYXRoGAEgASgJEiUKA2JveBgCIAEoCzIYLmxhbWJlbnRfcHJvdG8udjEuQm91bmRzEhAKCGNoYW5uZWxzGAMgAygJIq4BCglUcmFuc3BvcnQSDAoEc2l6ZRgBIAEoDRISCgpudW1fdGV4ZWxzGAIgASgNEhMKC3RleGVsc19wYXRoGAMgASgJEjEKBnBsYW5lcxgEIAMoCzIhLmxhbWJlbnRfcHJvdG8udjEuVHJhbnNwb3J0UGxhbmVzEhgKEHNoYWRvd19iaXRzX3BhdGgYBSABKAkSHQoVbnVtX3NoYWRvd19kaXJlY3Rpb25zGAYgASgNIm8KD1RyYW5zcG9ydFBsYW5lcxIMCgRuYW1lGAEgASgJEgwKBHBhdGgYAiABKAkSDQoFYmFuZHMYAyABKA0SEAoIY2hhbm5lbHMYBCABKA0SDgoGc2NhbGVzGAUgAygBEg8KB29mZnNldHMYBiADKAEiRwoGUGFyaXR5EhUKDW1heF9hYnNfZXJyb3IYASABKAESEQoJdG9sZXJhbmNlGAIgASgBEhMKC251bV9zYW1wbGVzGAMgASgNInwKBEdyaWQSDAoEbmFtZRgBIAEoCRIOCgZ0ZW5zb3IYAiABKAkSFAoMbnVtX2ZlYXR1cmVzGAMgASgNEhMKC2hhbGZfZXh0ZW50GAQgASgBEisKBmxldmVscxgFIAMoCzIbLmxhbWJlbnRfcHJvdG8udjEuR3JpZExldmVsInAKCUdyaWRMZXZlbBISCgpyZXNvbHV0aW9uGAEgASgNEhEKCWZpcnN0X3JvdxgCIAEoDRIQCghudW1fcm93cxgDIAEoDRIUCgxtdWx0aXBsaWVyX3kYBCABKA0SFAoMbXVsdGlwbGllcl96GAUgASgNImMKC1RlbnNvckVudHJ5EgwKBG5hbWUYASABKAkSDQoFZHR5cGUYAiABKAkSDQoFc2hhcGUYAyADKA0SFAoMb2Zmc2V0X2J5dGVzGAQgASgBEhIKCnNpemVfYnl0ZXMYBSABKAFiBnByb3RvMw", [file_lambent_proto_v1_scene]);
 
 /**
  * manifest.json of a bundle.
@@ -23,7 +23,7 @@ export const file_lambent_proto_v1_bundle: GenFile = /*@__PURE__*/
  */
 export type BundleManifest = Message<"lambent_proto.v1.BundleManifest"> & {
   /**
-   * "major.minor"; readers refuse a major version they do not know.
+   * "1"; readers refuse any other.
    *
    * @generated from field: string schema_version = 1;
    */
@@ -74,87 +74,82 @@ export type BundleManifest = Message<"lambent_proto.v1.BundleManifest"> & {
   bounds?: Bounds | undefined;
 
   /**
-   * @generated from field: lambent_proto.v1.RayRange primary_rays = 10;
-   */
-  primaryRays?: RayRange | undefined;
-
-  /**
-   * @generated from field: lambent_proto.v1.SecondaryRays secondary_rays = 11;
+   * @generated from field: lambent_proto.v1.SecondaryRays secondary_rays = 10;
    */
   secondaryRays?: SecondaryRays | undefined;
 
   /**
    * Every file of the bundle except manifest.json itself.
    *
-   * @generated from field: repeated lambent_proto.v1.BundleFile files = 12;
+   * @generated from field: repeated lambent_proto.v1.BundleFile files = 11;
    */
   files: BundleFile[];
 
   /**
-   * @generated from field: repeated lambent_proto.v1.Graph graphs = 13;
+   * @generated from field: repeated lambent_proto.v1.Graph graphs = 12;
    */
   graphs: Graph[];
 
   /**
    * Feature grids inside weights.bin, for readers that do not run ONNX.
    *
-   * @generated from field: repeated lambent_proto.v1.Grid grids = 14;
+   * @generated from field: repeated lambent_proto.v1.Grid grids = 13;
    */
   grids: Grid[];
 
   /**
    * Tensors inside weights.bin, 256-byte aligned, little endian.
    *
-   * @generated from field: repeated lambent_proto.v1.TensorEntry tensors = 15;
+   * @generated from field: repeated lambent_proto.v1.TensorEntry tensors = 14;
    */
   tensors: TensorEntry[];
 
   /**
    * Factor from the stored albedo to absolute albedo, per channel; ones where it is unknown.
    *
-   * @generated from field: repeated double albedo_scale_rgb = 16;
+   * @generated from field: repeated double albedo_scale_rgb = 15;
    */
   albedoScaleRgb: number[];
 
   /**
    * Figures measured at export time ("psnr_training_views", ...).
    *
-   * @generated from field: map<string, double> metrics = 17;
+   * @generated from field: map<string, double> metrics = 16;
    */
   metrics: { [key: string]: number };
 
   /**
-   * How well the photographs determine the materials; absent in bundles before 1.1.
+   * How well the photographs determine the materials; absent where it was not measured.
    *
-   * @generated from field: lambent_proto.v1.Uncertainty uncertainty = 18;
+   * @generated from field: lambent_proto.v1.Uncertainty uncertainty = 17;
    */
   uncertainty?: Uncertainty | undefined;
 
   /**
-   * The texture atlas of mesh/asset.glb; absent in bundles before 1.1.
+   * The texture atlas of mesh/asset.glb.
    *
-   * @generated from field: lambent_proto.v1.Atlas atlas = 19;
+   * @generated from field: lambent_proto.v1.Atlas atlas = 18;
    */
   atlas?: Atlas | undefined;
 
   /**
-   * Baked light transport; absent in bundles before 1.1.
+   * Baked light transport; absent where the export left it out.
    *
-   * @generated from field: lambent_proto.v1.Transport transport = 20;
+   * @generated from field: lambent_proto.v1.Transport transport = 19;
    */
   transport?: Transport | undefined;
 
   /**
-   * Coarser versions of mesh/asset.glb, finest first, with its atlas; absent in bundles before 1.3.
+   * Coarser versions of mesh/asset.glb, finest first, with its atlas; none in lite bundles and those of a given mesh.
    *
-   * @generated from field: repeated lambent_proto.v1.MeshLevel mesh_levels = 21;
+   * @generated from field: repeated lambent_proto.v1.MeshLevel mesh_levels = 20;
    */
   meshLevels: MeshLevel[];
 
   /**
-   * The file that the mesh was taken from, where it is not the surface as it was trained; since 1.3.
+   * The file that the mesh was taken from, where it is not the surface as it was trained.
    *
-   * @generated from field: lambent_proto.v1.GivenMesh given_mesh = 24;
+   * @generated from field: lambent_proto.v1.GivenMesh given_mesh = 21;
    */
   givenMesh?: GivenMesh | undefined;
 };
@@ -330,38 +325,30 @@ export type Atlas = Message<"lambent_proto.v1.Atlas"> & {
   size: number;
 
   /**
-   * Texels whose centre lies in a chart.
-   *
-   * @generated from field: uint32 num_texels = 2;
-   */
-  numTexels: number;
-
-  /**
    * Root of the mean area of a covered texel on the surface, scene units.
    *
-   * @generated from field: double texel_size = 3;
+   * @generated from field: double texel_size = 2;
    */
   texelSize: number;
 
   /**
-   * Texels along each side of the other textures of mesh/asset.glb; 0 before 1.3: the same.
+   * Texels along each side of the other textures of mesh/asset.glb.
    *
-   * @generated from field: uint32 material_size = 4;
+   * @generated from field: uint32 material_size = 3;
    */
   materialSize: number;
 
   /**
-   * Where the base colour's detail is from: "photographs", "model" or "file". Where it is stated, the textures of
-   * mesh/asset.glb are the materials that all renderers read; empty before 1.3.
+   * Where the base colour's detail is from: "photographs", "model" or "file".
    *
-   * @generated from field: string albedo_source = 5;
+   * @generated from field: string albedo_source = 4;
    */
   albedoSource: string;
 
   /**
-   * PNG file, grey: 255 where no photograph shows the surface. Empty if all was seen, and before 1.3.
+   * PNG file, grey: 255 where no photograph shows the surface. Empty if all was seen.
    *
-   * @generated from field: string unseen_path = 6;
+   * @generated from field: string unseen_path = 5;
    */
   unseenPath: string;
 };
@@ -426,14 +413,9 @@ export type BundleFile = Message<"lambent_proto.v1.BundleFile"> & {
   sha256: string;
 
   /**
-   * @generated from field: string media_type = 4;
-   */
-  mediaType: string;
-
-  /**
-   * "graph", "weights", "mesh", "environment", "cameras", "preview", "report", "uncertainty", "mask".
+   * "graph", "weights", "mesh", "environment", "cameras", "preview", "poster", "transport", "uncertainty", "mask".
    *
-   * @generated from field: string role = 5;
+   * @generated from field: string role = 4;
    */
   role: string;
 };
@@ -568,47 +550,40 @@ export const UncertaintySchema: GenMessage<Uncertainty> = /*@__PURE__*/
  */
 export type Transport = Message<"lambent_proto.v1.Transport"> & {
   /**
-   * "full" or "lite".
-   *
-   * @generated from field: string tier = 1;
-   */
-  tier: string;
-
-  /**
    * Texels along a side of the square atlas.
    *
-   * @generated from field: uint32 size = 2;
+   * @generated from field: uint32 size = 1;
    */
   size: number;
 
   /**
-   * @generated from field: uint32 num_texels = 3;
+   * @generated from field: uint32 num_texels = 2;
    */
   numTexels: number;
 
   /**
    * One bit per place of the atlas, rows from the top, lowest bit first: covered or not.
    *
-   * @generated from field: string texels_path = 4;
+   * @generated from field: string texels_path = 3;
    */
   texelsPath: string;
 
   /**
-   * "direct", "visibility" and "indirect".
+   * "direct", "visibility", "indirect" and "material".
    *
-   * @generated from field: repeated lambent_proto.v1.TransportPlanes planes = 5;
+   * @generated from field: repeated lambent_proto.v1.TransportPlanes planes = 4;
    */
   planes: TransportPlanes[];
 
   /**
    * One bit per texel and direction; empty where there are none.
    *
-   * @generated from field: string shadow_bits_path = 6;
+   * @generated from field: string shadow_bits_path = 5;
    */
   shadowBitsPath: string;
 
   /**
-   * @generated from field: uint32 num_shadow_directions = 7;
+   * @generated from field: uint32 num_shadow_directions = 6;
    */
   numShadowDirections: number;
 };
@@ -651,17 +626,12 @@ export type TransportPlanes = Message<"lambent_proto.v1.TransportPlanes"> & {
   channels: number;
 
   /**
-   * @generated from field: uint32 num_texels = 5;
-   */
-  numTexels: number;
-
-  /**
-   * @generated from field: repeated double scales = 6;
+   * @generated from field: repeated double scales = 5;
    */
   scales: number[];
 
   /**
-   * @generated from field: repeated double offsets = 7;
+   * @generated from field: repeated double offsets = 6;
    */
   offsets: number[];
 };
@@ -729,14 +699,7 @@ export type Grid = Message<"lambent_proto.v1.Grid"> & {
   halfExtent: number;
 
   /**
-   * Features are multiplied by this after interpolation.
-   *
-   * @generated from field: double output_scale = 5;
-   */
-  outputScale: number;
-
-  /**
-   * @generated from field: repeated lambent_proto.v1.GridLevel levels = 6;
+   * @generated from field: repeated lambent_proto.v1.GridLevel levels = 5;
    */
   levels: GridLevel[];
 };
