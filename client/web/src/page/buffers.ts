@@ -1,3 +1,17 @@
+/** Arrays of bytes: their digests, and handing them to workers. */
+
+import { sha256 } from "@noble/hashes/sha2.js";
+import { bytesToHex } from "@noble/hashes/utils.js";
+
+/**
+ * Return the SHA-256 of `data`, lower-case hexadecimal: by the browser where it offers that, which it does not for pages
+ * that came over plain HTTP.
+ */
+export async function sha256Hex(data: Uint8Array<ArrayBuffer>): Promise<string> {
+  const subtle = globalThis.crypto?.subtle;
+  return bytesToHex(subtle ? new Uint8Array(await subtle.digest("SHA-256", data)) : sha256(data));
+}
+
 /** Return the buffers of the arrays in a plain value, each once, so that a worker can hand them over. */
 export function buffersOf(value: unknown): ArrayBufferLike[] {
   if (ArrayBuffer.isView(value)) return [value.buffer];

@@ -1,7 +1,11 @@
 /** Hashes files in a worker, so that the page stays responsive. */
 
-import { sha256Hex } from "../bundle/sha256.js";
-import type { HashAnswer, HashRequest } from "./hashing.js";
+import { sha256Hex } from "../page/buffers.js";
+
+export type HashRequest = { readonly id: number; readonly blob: Blob };
+export type HashAnswer =
+  | { readonly id: number; readonly sha256: string }
+  | { readonly id: number; readonly fault: string };
 
 addEventListener("message", async (message: MessageEvent<HashRequest>) => {
   const { id, blob } = message.data;

@@ -4,7 +4,9 @@ import { pause } from "../page/pause.js";
 import { type Api, type PlannedFile, Refused, type Scene, Unreachable } from "../page/rest.js";
 import type { Candidate, SceneFile } from "./collect.js";
 import { type DirectTools, directSender } from "./direct.js";
-import type { Hash } from "./hashing.js";
+
+/** Returns the SHA-256 of a file's bytes, lower-case hexadecimal; rejects where they cannot be read. */
+export type Hash = (blob: Blob) => Promise<string>;
 
 export type UploadStep = {
   readonly what: "hash" | "send" | "wait" | "commit";
