@@ -350,6 +350,8 @@ describe("what does not fit into memory", () => {
     expect(bundleTold(unfit()).message).toContain("not enough memory");
     expect(mapTold(unfit()).code).toBe("environment.memory");
     expect(bundleTold(new TypeError("x"))).toEqual({ code: "bundle.failed", message: "x" });
-    expect(mapTold(new MapFault("environment.x", "what", "advice")).message).toBe("what; advice");
+    expect(mapTold(new MapFault("environment.x", { what: "what", advice: "advice" })).message).toBe(
+      "what; advice",
+    );
   });
 });

@@ -8,7 +8,7 @@ import type { BundleNews, ShownBundle } from "./load.js";
 import { closePictures } from "./pictures.js";
 import type { BundleOrigin } from "./source.js";
 import type { FinerTables } from "./transport.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { bundleFaults } from "../words/faults.js";
 
 /** Read a bundle in a worker that exits when all is there; `signal` aborts it. Throws BundleFault. */
 export function loadInWorker(
@@ -31,7 +31,8 @@ export function loadInWorker(
     };
     signal.addEventListener("abort", () => fail(signal.reason));
     worker.onerror = (event) => {
-      fail(new BundleFault("bundle.failed", event.message || bundleFaults.reader, bundleFaults.reload));
+      const what = event.message || bundleFaults.reader;
+      fail(new BundleFault("bundle.failed", { what, advice: bundleFaults.reload }));
     };
     worker.onmessage = ({ data }: MessageEvent<BundleAnswer>) => {
       if (data.kind === "loaded") {
@@ -41,7 +42,7 @@ export function loadInWorker(
         worker.terminate();
         resolveFiner(data.tables);
       } else if (data.kind === "failed") {
-        fail(Object.assign(new BundleFault(data.code, "", ""), { message: data.message }));
+        fail(Object.assign(new BundleFault(data.code, { what: "", advice: "" }), { message: data.message }));
       } else tell(data);
     };
     worker.postMessage(origin);

@@ -9,7 +9,8 @@ import { type AtlasMesh, boundsOf, meshFromGlb, texturesFromGlb } from "./mesh.j
 import { type BundleOrigin, openSource } from "./source.js";
 import { type FinerTables, finerTables, type PackedTransport, readTransport } from "./transport.js";
 import { readUncertainty, type UncertaintyGrid } from "./uncertainty.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { fillIn } from "../words/messages.js";
+import { bundleFaults } from "../words/faults.js";
 
 /** A file of the bundle, as it is. */
 export type BundlePicture = { readonly name: string; readonly data: Uint8Array<ArrayBuffer> };
@@ -80,7 +81,7 @@ export async function loadBundle(
   const { manifest, read, begin } = await openBundle(await openSource(origin));
   const stated = manifest.transport;
   if (stated === undefined) {
-    throw new BundleFault("bundle.transport_missing", ...bundleFaults.noTransport());
+    throw new BundleFault("bundle.transport_missing", bundleFaults.noTransport);
   }
   const paths = new Set(manifest.files.map((file) => file.path));
   const sizes = new Map(manifest.files.map((file) => [file.path, file.sizeBytes]));
@@ -189,7 +190,7 @@ async function mapsOf(glb: Uint8Array<ArrayBuffer>, atlas: Atlas, decode: Decode
     if (width !== stated || height !== stated) {
       throw exportAgain(
         "bundle.mesh_invalid",
-        bundleFaults.mesh(bundleFaults.textureSize(width, height, stated)),
+        fillIn(bundleFaults.mesh, { what: fillIn(bundleFaults.textureSize, { width, height, stated }) }),
       );
     }
   }
@@ -201,6 +202,9 @@ async function mapsOf(glb: Uint8Array<ArrayBuffer>, atlas: Atlas, decode: Decode
     ]);
     return { albedo, packed, normal };
   } catch {
-    throw exportAgain("bundle.mesh_invalid", bundleFaults.mesh(bundleFaults.textureDamaged));
+    throw exportAgain(
+      "bundle.mesh_invalid",
+      fillIn(bundleFaults.mesh, { what: bundleFaults.textureDamaged }),
+    );
   }
 }

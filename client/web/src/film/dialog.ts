@@ -8,6 +8,7 @@ import type { Viewer } from "../viewer/viewer.js";
 import { codecFor, codecNames } from "./encoder.js";
 import { makeFilm } from "./film.js";
 import { defaultPlan, type FilmFormat, type FilmPlan, frameCount, motions, planned } from "./plan.js";
+import { fillIn } from "../words/messages.js";
 import { texts } from "../words/words.js";
 
 const sizes = {
@@ -113,7 +114,7 @@ export function filmDialog(
       const count = frameCount(planned(plan));
       const bare = viewer.state.look.background === "transparent";
       const behind = bare ? texts.film.opaque : "";
-      say(`${texts.film.frames(count)}${behind}.`);
+      say(`${fillIn(texts.film.frames, { n: count })}${behind}.`);
       start.disabled = false;
     } catch (error) {
       say(textOf(error), true);
@@ -147,7 +148,7 @@ export function filmDialog(
   const onFrame = (made: number, count: number, rgba: Uint8ClampedArray<ArrayBuffer>): void => {
     bar.max = count;
     bar.value = made;
-    told.reach(made / count, texts.film.frame(made, count));
+    told.reach(made / count, fillIn(texts.film.frame, { made, all: count }));
     preview.hidden = false;
     if (preview.width !== plan.width || preview.height !== plan.height) {
       Object.assign(preview, { width: plan.width, height: plan.height });
@@ -162,7 +163,12 @@ export function filmDialog(
       const { signal } = running;
       const film = await during(() => makeFilm(viewer, plan, { signal, onFrame }));
       download(film, `${viewer.bundle?.name ?? "lambent"}-${plan.motion}.${plan.format}`);
-      say(texts.film.saved(texts.film.frames(frameCount(plan)), formatSize(film.size)));
+      say(
+        fillIn(texts.film.saved, {
+          frames: fillIn(texts.film.frames, { n: frameCount(plan) }),
+          size: formatSize(film.size),
+        }),
+      );
     } catch (error) {
       if (running.signal.aborted) say(texts.film.cancelled);
       else say(textOf(error), true);

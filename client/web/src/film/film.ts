@@ -4,6 +4,7 @@ import { Fault } from "../page/fault.js";
 import type { Viewer } from "../viewer/viewer.js";
 import { beginFilm } from "./encoder.js";
 import { type FilmPlan, frameCount, momentAt, momentOf, planned } from "./plan.js";
+import { fillIn } from "../words/messages.js";
 import { texts } from "../words/words.js";
 
 /** How a film is made, besides what it shows. */
@@ -52,7 +53,7 @@ export async function makeFilm(
   } catch (error) {
     await writer.cancel();
     if (error instanceof DOMException && error !== signal?.reason) {
-      throw new Fault("film.incomplete", ...texts.film.encoderFailed(error.message));
+      throw new Fault("film.incomplete", fillIn(texts.film.encoderFailed, { detail: error.message }));
     }
     throw error;
   }

@@ -7,6 +7,7 @@ import type { Job } from "../page/rest.js";
 import { thumbnail } from "../page/thumbnail.js";
 import { isFinal } from "./store.js";
 import { stateLabel } from "./view.js";
+import { fillIn } from "../words/messages.js";
 import { named, texts } from "../words/words.js";
 
 /** The stages of a training, in their order. */
@@ -14,7 +15,9 @@ export const stages = ["cameras", "ingest", "masks", "cache", "joint", "polish",
 
 /** Return a description of a job's work. */
 export function purpose(job: Job): string {
-  return job.kind === "train" ? texts.jobs.preset(job.preset) : named(texts.jobs.purposes, job.kind);
+  return job.kind === "train"
+    ? fillIn(texts.jobs.preset, { name: job.preset })
+    : named(texts.jobs.purposes, job.kind);
 }
 
 /** Return whether a job stands in lists: checks belong to their scene, and corrections to the editor of masks. */
@@ -31,14 +34,23 @@ export function jobName(job: Job): string {
 export function progressText(job: Job): string {
   if (isFinal(job)) {
     if (job.started_at === null || job.finished_at === null) return "";
-    return texts.jobs.took(formatDuration((Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000));
+    return fillIn(texts.jobs.took, {
+      time: formatDuration((Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000),
+    });
   }
   const { progress } = job;
   if (progress === null) return "";
   const parts = [named(texts.stages, progress.stage)];
-  if (progress.num_steps > 1) parts.push(texts.jobs.step(progress.doing, progress.step, progress.num_steps));
+  if (progress.num_steps > 1)
+    parts.push(
+      fillIn(texts.jobs.step, {
+        doing: progress.doing || texts.jobs.aStep,
+        step: progress.step,
+        steps: progress.num_steps,
+      }),
+    );
   if (progress.psnr > 0) parts.push(`PSNR ${formatNumber(progress.psnr, 1)} dB`);
-  if (progress.eta_s > 0) parts.push(texts.jobs.toGo(formatDuration(progress.eta_s)));
+  if (progress.eta_s > 0) parts.push(fillIn(texts.jobs.toGo, { time: formatDuration(progress.eta_s) }));
   return parts.join(" · ");
 }
 

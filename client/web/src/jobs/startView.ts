@@ -10,6 +10,7 @@ import { jobsPanel } from "./jobsPanel.js";
 import { isFinal } from "./store.js";
 import { uploadPanel } from "./uploadPanel.js";
 import { type Context, stateLabel, type View } from "./view.js";
+import { fillIn } from "../words/messages.js";
 import { texts } from "../words/words.js";
 
 type Page<T> = { readonly items: readonly T[]; readonly next_cursor: string | null };
@@ -99,7 +100,9 @@ function soon(act: () => void): { ask: () => void; stop: () => void } {
 
 function sceneLine(scene: Scene): HTMLLIElement {
   const size =
-    scene.num_files > 0 ? `${texts.page.files(scene.num_files)}, ${formatSize(scene.size_bytes)} · ` : "";
+    scene.num_files > 0
+      ? `${fillIn(texts.page.files, { n: scene.num_files })}, ${formatSize(scene.size_bytes)} · `
+      : "";
   return h(
     "li",
     { class: "card tile" },
@@ -119,11 +122,11 @@ function bundleLine(context: Context, bundle: Bundle): HTMLLIElement {
   const remove = button(texts.page.delete, context, async () =>
     context.removals.ask({
       id: bundle.id,
-      what: texts.start.theBundle(name),
+      what: fillIn(texts.start.theBundle, { name }),
       send: (keepalive) => context.api.deleteBundle(bundle.id, keepalive),
     }),
   );
-  remove.setAttribute("aria-label", texts.start.deleteBundle(name));
+  remove.setAttribute("aria-label", fillIn(texts.start.deleteBundle, { name }));
   return h(
     "li",
     { class: "card tile" },

@@ -9,13 +9,17 @@ import { type Candidate, collect } from "../upload/collect.js";
 import type { UploadStep } from "../upload/upload.js";
 import type { Running } from "../upload/uploads.js";
 import type { Context } from "./view.js";
+import { fillIn } from "../words/messages.js";
 import { texts } from "../words/words.js";
 
 /** Return the status of an upload in a line. */
 export function describe(step: UploadStep): string {
   const parts = [texts.upload.steps[step.what] as string];
-  if (step.totalBytes > 0) parts.push(texts.page.of(formatSize(step.doneBytes), formatSize(step.totalBytes)));
-  if (step.numKnown > 0) parts.push(texts.upload.known(step.numKnown));
+  if (step.totalBytes > 0)
+    parts.push(
+      fillIn(texts.page.of, { part: formatSize(step.doneBytes), whole: formatSize(step.totalBytes) }),
+    );
+  if (step.numKnown > 0) parts.push(fillIn(texts.upload.known, { n: step.numKnown }));
   return parts.join(" · ");
 }
 
@@ -103,7 +107,11 @@ export function uploadPanel(
 }
 
 function uploadRow(one: Running): { element: HTMLElement; update: (one: Running) => void } {
-  const bar = h("progress", { max: 1, value: 0, "aria-label": texts.upload.uploadOf(one.name) });
+  const bar = h("progress", {
+    max: 1,
+    value: 0,
+    "aria-label": fillIn(texts.upload.uploadOf, { name: one.name }),
+  });
   const text = h("p", { class: "figures" });
   const stop = h("button", { type: "button", onclick: one.stop }, texts.upload.stop);
   const element = h("li", { class: "card" }, h("h3", {}, one.name), bar, text, h("div", {}, stop));

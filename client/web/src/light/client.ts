@@ -39,7 +39,7 @@ export class LightClient {
   async #ask(question: Unnumbered<LightQuestion>): Promise<LightAnswer> {
     const answer = await this.#questions.ask(question);
     if (answer.kind === "failed") {
-      throw Object.assign(new MapFault(answer.code, "", ""), { message: answer.message });
+      throw Object.assign(new MapFault(answer.code, { what: "", advice: "" }), { message: answer.message });
     }
     return answer;
   }

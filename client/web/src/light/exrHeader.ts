@@ -4,7 +4,8 @@ import type { EnvironmentMap } from "../engine/environmentMap.js";
 import { MapFault, tooLarge } from "./fault.js";
 import type { Layout } from "./layouts.js";
 import { type Matrix, rec709Matrix, toRec709 } from "./primaries.js";
-import { mapFaults } from "../words/mapFaults.js";
+import { fillIn } from "../words/messages.js";
+import { mapFaults } from "../words/faults.js";
 
 /** The numbers of the chromaticities of a header, in the order of its bytes. */
 export const primaries = ["redX", "redY", "greenX", "greenY", "blueX", "blueY", "whiteX", "whiteY"];
@@ -44,7 +45,7 @@ const deep = 8;
 
 /** Return the fault of a file that is no whole OpenEXR picture. */
 export function damaged(): MapFault {
-  return new MapFault("environment.exr_damaged", ...mapFaults.exrDamaged());
+  return new MapFault("environment.exr_damaged", mapFaults.exrDamaged);
 }
 
 /**
@@ -128,13 +129,13 @@ export function checkChannels({ attributes, flags }: Stated): void {
   if (!hasColour(attributes)) throw withoutColour(channels.map(({ name }) => name));
   const colours = channels.filter(({ name }) => ["R", "G", "B"].includes(name));
   if (colours.some(({ xSampling, ySampling }) => xSampling !== 1 || ySampling !== 1)) {
-    throw new MapFault("environment.exr_channels", ...mapFaults.exrSubsampled());
+    throw new MapFault("environment.exr_channels", mapFaults.exrSubsampled);
   }
 }
 
 function withoutColour(names: string[]): MapFault {
   const shown = names.sort().slice(0, 16).join(", ");
-  return new MapFault("environment.exr_channels", ...mapFaults.exrChannels(shown));
+  return new MapFault("environment.exr_channels", fillIn(mapFaults.exrChannels, { channels: shown }));
 }
 
 /** Return the layout that the attribute envmap states, if it is there. */
@@ -146,7 +147,7 @@ export function statedLayout({ attributes }: Stated): Layout | undefined {
 /** Return what to do to the pixels; throws for a picture without whole red, green and blue. */
 export function checkHeader(header: Header, width: number, height: number): Shown {
   if (header.spec.deepFormat) {
-    throw new MapFault("environment.exr_deep", ...mapFaults.exrDeep());
+    throw new MapFault("environment.exr_deep", mapFaults.exrDeep);
   }
   const names = (header.channels ?? []).map((channel) => channel.name);
   if (!["R", "G", "B"].every((name) => names.includes(name))) {
@@ -158,12 +159,12 @@ export function checkHeader(header: Header, width: number, height: number): Show
   const [across, down] = [shown.xMax - shown.xMin + 1, shown.yMax - shown.yMin + 1];
   const inside = left >= 0 && top >= 0 && left + across <= width && top + down <= height;
   if (!inside || across <= 0 || down <= 0) {
-    throw new MapFault("environment.exr_cropped", ...mapFaults.exrCropped());
+    throw new MapFault("environment.exr_cropped", mapFaults.exrCropped);
   }
   const stated = header.chromaticities;
   const matrix =
     stated === undefined ? null : rec709Matrix(primaries.map((name) => stated[name] ?? Number.NaN));
-  if (matrix === undefined) throw new MapFault("environment.exr_primaries", ...mapFaults.exrPrimaries());
+  if (matrix === undefined) throw new MapFault("environment.exr_primaries", mapFaults.exrPrimaries);
   return { left, top, width: across, height: down, matrix };
 }
 

@@ -1,7 +1,8 @@
 /** An environment map that cannot be used; codes are those of `lambent_relight`. */
 
 import { Fault, toldOf } from "../page/fault.js";
-import { mapFaults } from "../words/mapFaults.js";
+import { fillIn } from "../words/messages.js";
+import { mapFaults } from "../words/faults.js";
 
 /** A problem with a map; `code` starts with "environment.". */
 export class MapFault extends Fault {
@@ -15,5 +16,8 @@ export function mapTold(error: unknown) {
 
 /** Return the fault of a map that has more pixels than can be read. */
 export function tooLarge(width: number, height: number, maxPixels: number): MapFault {
-  return new MapFault("environment.too_large", ...mapFaults.tooLarge(width, height, maxPixels));
+  return new MapFault(
+    "environment.too_large",
+    fillIn(mapFaults.tooLarge, { width, height, most: maxPixels }),
+  );
 }

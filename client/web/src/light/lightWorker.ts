@@ -8,7 +8,8 @@ import { openEnvironment } from "./open.js";
 import { type NotedMap, type PreparedLight, prepareLight, usableMap } from "./prepare.js";
 import { type PresetName, presetMap } from "./presets.js";
 import { ballPicture, smallMap } from "./thumbnail.js";
-import { mapFaults } from "../words/mapFaults.js";
+import { fillIn } from "../words/messages.js";
+import { mapFaults } from "../words/faults.js";
 import { workerSpeaks } from "../words/languages.js";
 
 /** The source of a map; the format is detected from the first bytes. */
@@ -104,12 +105,15 @@ async function fetched(url: string): Promise<Uint8Array<ArrayBuffer>> {
   } catch {
     const { host } = new URL(url);
     if (await isForbidden(url)) {
-      throw new MapFault("environment.blocked", ...mapFaults.blocked(host));
+      throw new MapFault("environment.blocked", fillIn(mapFaults.blocked, { host }));
     }
-    throw new MapFault("environment.missing", ...mapFaults.unreadable(url));
+    throw new MapFault("environment.missing", fillIn(mapFaults.unreadable, { address: url }));
   }
   if (!response.ok) {
-    throw new MapFault("environment.missing", ...mapFaults.notFound(url, response.status));
+    throw new MapFault(
+      "environment.missing",
+      fillIn(mapFaults.notFound, { address: url, status: response.status }),
+    );
   }
   return new Uint8Array(await response.arrayBuffer());
 }

@@ -1,7 +1,8 @@
 /** Environment maps from files: decoded, repaired, and converted to latitude-longitude where they are laid out otherwise. */
 
 import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { mapFaults } from "../words/mapFaults.js";
+import { fillIn } from "../words/messages.js";
+import { mapFaults } from "../words/faults.js";
 import { readExr } from "./exrInput.js";
 import { MapFault } from "./fault.js";
 import { blankUnused, decidedLayout, type Layout, toLatLong } from "./layouts.js";
@@ -21,7 +22,9 @@ export async function openEnvironment(
   const blank = blankUnused(picture, readAs, given !== undefined);
   // Unusable values are replaced before a conversion spreads them.
   const map = toLatLong(repaired(blank, notes), readAs, maxWidth);
-  notes.unshift(mapFaults.converted(mapFaults.layouts[readAs], `${map.width} x ${map.height}`));
+  notes.unshift(
+    fillIn(mapFaults.converted, { layout: mapFaults.layouts[readAs], to: `${map.width} x ${map.height}` }),
+  );
   return { ...map, notes, readAs };
 }
 
@@ -32,5 +35,5 @@ async function decoded(
   const [first, second, third, fourth] = data;
   if (first === 0x76 && second === 0x2f && third === 0x31 && fourth === 0x01) return readExr(data, maxPixels);
   if (first === 0x23 && second === 0x3f) return readRgbe(data, maxPixels);
-  throw new MapFault("environment.unknown_format", ...mapFaults.unknownFormat());
+  throw new MapFault("environment.unknown_format", mapFaults.unknownFormat);
 }

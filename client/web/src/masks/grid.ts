@@ -3,6 +3,7 @@
 import { h, setText } from "../page/dom.js";
 import type { Frame, MaskBackend } from "./backend.js";
 import { drawThumbnail } from "./paint.js";
+import { fillIn } from "../words/messages.js";
 import { texts } from "../words/words.js";
 
 const thumbnailSide = 240;
@@ -25,7 +26,9 @@ export async function inLines<T>(items: readonly T[], work: (item: T) => Promise
 
 /** Return the words for a photograph's state. */
 export function badge(doubtful: boolean, marks: number): string {
-  return [doubtful && texts.masks.doubtful, marks > 0 && texts.masks.marks(marks)].filter(Boolean).join(", ");
+  return [doubtful && texts.masks.doubtful, marks > 0 && fillIn(texts.masks.marks, { n: marks })]
+    .filter(Boolean)
+    .join(", ");
 }
 
 type Cell = {

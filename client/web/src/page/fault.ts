@@ -1,11 +1,12 @@
 /** Inputs that cannot be used. */
 
+import type { Problem } from "../words/messages.js";
+
 /** A problem with an input and what to do about it; `code` is one of those that are documented. */
 export class Fault extends Error {
   constructor(
     readonly code: string,
-    what: string,
-    readonly advice: string,
+    { what, advice }: Problem,
   ) {
     super(`${what}; ${advice}`);
   }

@@ -3,6 +3,7 @@
 import { explain } from "./actions.js";
 import { h } from "./dom.js";
 import { Refused } from "./rest.js";
+import { fillIn } from "../words/messages.js";
 import { texts } from "../words/words.js";
 
 export const undoMs = 10_000;
@@ -82,7 +83,9 @@ export class Removals {
       if (error instanceof Refused && error.status === 404) waiting.removal.gone?.();
       else {
         this.#sent.delete(id);
-        this.fail(new Error(texts.page.notDeleted(waiting.removal.what, explain(error))));
+        this.fail(
+          new Error(fillIn(texts.page.notDeleted, { what: waiting.removal.what, why: explain(error) })),
+        );
       }
     }
     this.#tell();
@@ -111,11 +114,11 @@ export function removalNotices(removals: Removals): HTMLElement {
       if (shown.has(id)) continue;
       const undo = h(
         "button",
-        { type: "button", "aria-label": texts.page.undoDelete(what) },
+        { type: "button", "aria-label": fillIn(texts.page.undoDelete, { what }) },
         texts.page.undo,
       );
       undo.addEventListener("click", () => removals.undo(id));
-      const notice = h("p", { class: "notice toast" }, texts.page.deleted(what), " ", undo);
+      const notice = h("p", { class: "notice toast" }, fillIn(texts.page.deleted, { what }), " ", undo);
       shown.set(id, notice);
       element.append(notice);
       // The button that was pressed is gone, and the next thing wanted may be the way back.

@@ -1,6 +1,7 @@
 /** The REST API for the pages: typed bodies, problems as exceptions. */
 
 import type { components } from "../contract/rest.js";
+import { fillIn } from "../words/messages.js";
 import { texts } from "../words/words.js";
 
 export type Schemas = components["schemas"];
@@ -52,7 +53,7 @@ export async function requireOk(response: Response): Promise<Response> {
   throw new Refused(
     response.status,
     problem.code ?? `http_${response.status}`,
-    problem.detail ?? texts.page.answered(response.status),
+    problem.detail ?? fillIn(texts.page.answered, { status: response.status }),
     problem.retryable ?? response.status >= 500,
     problem.errors ?? [],
   );

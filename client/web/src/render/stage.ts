@@ -32,7 +32,8 @@ import { aim } from "./projection.js";
 import { rendererOn } from "./renderer.js";
 import { cameraOfPart, type Part, partsOf, shareIn, tilesOf } from "./tiles.js";
 import { BundleTextures, longestSide, splitSumTexture } from "./textures.js";
-import { deviceFaults } from "../words/deviceFaults.js";
+import { fillIn } from "../words/messages.js";
+import { deviceFaults } from "../words/faults.js";
 
 /** One half of the picture, or all of it. */
 export type Side = {
@@ -99,7 +100,7 @@ export class Stage {
     const longest = longestSide(bundle.transport);
     if (longest > maxTextureSize) {
       closePictures(bundle);
-      throw new GraphicsFault(...deviceFaults.textureLimit(maxTextureSize, longest));
+      throw new GraphicsFault(fillIn(deviceFaults.textureLimit, { most: maxTextureSize, needed: longest }));
     }
     const { transport, uncertainty, maps, mesh } = bundle;
     const framed = mesh.frames !== null;
@@ -124,7 +125,7 @@ export class Stage {
     for (let error = gl.getError(); error !== gl.NO_ERROR; error = gl.getError()) {
       if (error !== gl.OUT_OF_MEMORY) continue;
       this.#clear();
-      throw new GraphicsFault(...deviceFaults.memory());
+      throw new GraphicsFault(deviceFaults.memory);
     }
   }
 

@@ -7,6 +7,7 @@ import { listening, make, releases } from "./fields.js";
 import { turnFor } from "./firstTurn.js";
 import { turned, turnedAbout } from "./turning.js";
 import type { Viewer } from "./viewer.js";
+import { fillIn } from "../words/messages.js";
 import { texts } from "../words/words.js";
 
 /** What the ball asks for. */
@@ -107,7 +108,10 @@ export function lightBall(viewer: Viewer, act: BallActions, signal: AbortSignal)
     element.ariaValueText =
       towards === null
         ? texts.light.allSides
-        : texts.light.angles(azimuth, deg(Math.asin(Math.min(Math.max(towards[2], -1), 1))));
+        : fillIn(texts.light.angles, {
+            azimuth,
+            elevation: deg(Math.asin(Math.min(Math.max(towards[2], -1), 1))),
+          });
   }
   return { element, show };
 }

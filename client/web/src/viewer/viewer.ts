@@ -24,6 +24,7 @@ import { besidePhotograph } from "./photograph.js";
 import { initialState, limits, type OrbitPose, type ViewerState } from "./state.js";
 import { Stills } from "./stills.js";
 import { mainDirection } from "./turning.js";
+import { fillIn } from "../words/messages.js";
 import { texts } from "../words/words.js";
 
 const stillSamples = 2;
@@ -382,7 +383,9 @@ export class Viewer {
         this.#refinement.changed();
         this.#refinement.rest();
       })
-      .catch((error: unknown) => this.#tell("message", texts.refine.failed(String(error)), true));
+      .catch((error: unknown) =>
+        this.#tell("message", fillIn(texts.refine.failed, { why: String(error) }), true),
+      );
   }
 
   #refineView() {

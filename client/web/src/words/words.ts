@@ -1,23 +1,18 @@
 /** What the pages say, in the language that was chosen; one for all that is on a page. */
 
-import { type Texts, texts as english } from "./en.js";
-import { chosen, isFetched, onSpeech, speakAs } from "./languages.js";
+import { texts as english } from "./en.json";
+import { chosen, isFetched, language, speakAs, spoken } from "./languages.js";
 
-/** Read it when something is said: it is English until another catalogue is there. */
-export let texts: Texts = english;
+export const texts = spoken("texts", english);
 
 /** The tag of the chosen language, for numbers and times: "en-GB". */
 export let locale = "en";
-
-onSpeech((catalogue) => {
-  texts = catalogue?.texts ?? english;
-});
 
 /** Speak the language of a tag from now on, once its catalogue is there. */
 export async function speak(tag: string): Promise<void> {
   await speakAs(tag);
   // Numbers go with the words, also where those could not be fetched.
-  locale = isFetched(tag) && texts === english ? "en" : tag;
+  locale = isFetched(tag) && language === "en" ? "en" : tag;
 }
 
 /** Speak as the browser does, on a page of our own. */

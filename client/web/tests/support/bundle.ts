@@ -163,7 +163,7 @@ export function sourceOf(bundle: TinyBundle): FileSource {
     paths: new Set(files.keys()),
     read: async (path) => {
       const data = files.get(path);
-      if (data === undefined) throw new BundleFault("bundle.file_missing", path, "");
+      if (data === undefined) throw new BundleFault("bundle.file_missing", { what: path, advice: "" });
       return data;
     },
   };
