@@ -8,9 +8,8 @@ import { formatAbout, formatList, formatNumber, formatPercent, formatSize } from
 import { misfilled, placesOf } from "./support/messages.js";
 import de from "../src/words/de.json";
 import en from "../src/words/en.json";
-import { fillIn } from "../src/words/messages.js";
+import { fillIn, languageOfPage, locale, named, speak, speakAsBrowser, texts } from "../src/words/words.js";
 import { chosen, languageOf, languages } from "../src/words/languages.js";
-import { languageOfPage, locale, named, speak, speakAsBrowser, texts } from "../src/words/words.js";
 
 afterEach(async () => {
   vi.unstubAllGlobals();
@@ -86,8 +85,8 @@ describe("counts", () => {
 
   it("have more than two forms where a language has", async () => {
     vi.resetModules();
-    vi.doMock("../src/words/languages.js", () => ({ language: "pl" }));
-    const polish = (await import("../src/words/messages.js")).fillIn;
+    vi.doMock("../src/words/languages.js", () => ({ language: "pl", spoken: () => ({}) }));
+    const polish = (await import("../src/words/words.js")).fillIn;
     vi.doUnmock("../src/words/languages.js");
     const forms = { one: "{n} plik", few: "{n} pliki", many: "{n} plików", other: "{n} pliku" };
     const told = [1, 2, 5, 22].map((n) => polish(forms, { n }));

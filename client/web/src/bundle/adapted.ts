@@ -1,8 +1,7 @@
 /** Fast caches that were adapted to one light: Python's `refined` may take their radiance, refining here does not. */
 
 import type { BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
-import { fillIn } from "../words/messages.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** Return the notes about a bundle's adapted caches; empty if it has none. */
 export function adaptedNote({ graphs, trainLights }: Pick<BundleManifest, "graphs" | "trainLights">): string {

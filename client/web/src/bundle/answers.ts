@@ -1,8 +1,7 @@
 /** What a host's refusal means for someone who wanted to see a bundle. */
 
 import { BundleFault } from "./fault.js";
-import { fillIn } from "../words/messages.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** Return the fault for an answer that was no success; `path` is the file that was asked for, perhaps by a share link. */
 export function refusal(status: number, path: string, address: URL, byLink = false): BundleFault {

@@ -8,7 +8,7 @@ import type { BundleNews, ShownBundle } from "./load.js";
 import { closePictures } from "./pictures.js";
 import type { BundleOrigin } from "./source.js";
 import type { FinerTables } from "./transport.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults } from "../words/words.js";
 
 /** Read a bundle in a worker that exits when all is there; `signal` aborts it. Throws BundleFault. */
 export function loadInWorker(

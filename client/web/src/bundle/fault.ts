@@ -1,7 +1,7 @@
 /** A bundle that cannot be used; codes are those of docs/reference/bundle-format.md. */
 
 import { Fault, toldOf } from "../page/fault.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults } from "../words/words.js";
 
 /** A problem with a bundle; `code` starts with "bundle.". */
 export class BundleFault extends Fault {

@@ -9,8 +9,7 @@ import { type AtlasMesh, boundsOf, meshFromGlb, texturesFromGlb } from "./mesh.j
 import { type BundleOrigin, openSource } from "./source.js";
 import { type FinerTables, finerTables, type PackedTransport, readTransport } from "./transport.js";
 import { readUncertainty, type UncertaintyGrid } from "./uncertainty.js";
-import { fillIn } from "../words/messages.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** A file of the bundle, as it is. */
 export type BundlePicture = { readonly name: string; readonly data: Uint8Array<ArrayBuffer> };

@@ -5,8 +5,7 @@ import { type BundleManifest, BundleManifestSchema } from "../contract/lambent_p
 import { BundleFault, exportAgain, fetchAgain, unsafe } from "./fault.js";
 import { sha256Hex } from "../page/buffers.js";
 import type { FileSource } from "./source.js";
-import { fillIn } from "../words/messages.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 const manifestLimit = 16 << 20;
 const fileLimit = 512 << 20;

@@ -2,8 +2,7 @@
 
 import { type BundleFault, exportAgain } from "./fault.js";
 import { maxAtlasSize } from "./manifest.js";
-import { fillIn } from "../words/messages.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** Triangles with a place in the atlas; positions are the world's, z up. */
 export type AtlasMesh = {

@@ -3,8 +3,7 @@
 import { refusal, silence } from "./answers.js";
 import { BundleFault, fetchAgain, unsafe } from "./fault.js";
 import { ZipArchive, type RangeReader } from "./zip.js";
-import { fillIn } from "../words/messages.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 type Bytes = Uint8Array<ArrayBuffer>;
 

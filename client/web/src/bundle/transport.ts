@@ -10,8 +10,7 @@ import type { Transport, TransportPlanes } from "../contract/lambent_proto/v1/bu
 import { type BundleFault, exportAgain } from "./fault.js";
 import { maxAtlasSize } from "./manifest.js";
 import { blocksAround, spreadTexels } from "./texels.js";
-import { fillIn } from "../words/messages.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** Columns of all tables. */
 export const tableWidth = 1024;

@@ -2,8 +2,7 @@
 
 import type { Uncertainty } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { exportAgain, type BundleFault } from "./fault.js";
-import { fillIn } from "../words/messages.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** One channel of the grid, x fastest. */
 export type UncertaintyGrid = {

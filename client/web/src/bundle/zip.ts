@@ -2,8 +2,7 @@
 
 import { inflated } from "../page/inflate.js";
 import { BundleFault, fetchAgain, unsafe } from "./fault.js";
-import { fillIn } from "../words/messages.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** Some bytes of a file; `start` may be negative, counted from the end. */
 export type RangeReader = (start: number, length: number) => Promise<Uint8Array<ArrayBuffer>>;

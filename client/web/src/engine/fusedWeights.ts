@@ -7,8 +7,7 @@ import type { BundleManifest, Grid, GridLevel, TensorEntry } from "../contract/l
 import { exportAgain } from "../bundle/fault.js";
 import { halfValue } from "./half.js";
 import { modelMetadata } from "./onnxModel.js";
-import { fillIn } from "../words/messages.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** The bundle's networks are not those that the fused reader knows; the message says why. */
 export class NotFused extends Error {

@@ -8,8 +8,7 @@ import type { Viewer } from "../viewer/viewer.js";
 import { codecFor, codecNames } from "./encoder.js";
 import { makeFilm } from "./film.js";
 import { defaultPlan, type FilmFormat, type FilmPlan, frameCount, motions, planned } from "./plan.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 const sizes = {
   "1080p": [1920, 1080],

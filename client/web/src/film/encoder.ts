@@ -13,8 +13,7 @@ import {
 } from "mediabunny";
 import { Fault } from "../page/fault.js";
 import type { FilmFormat, FilmPlan } from "./plan.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Codecs of a format, the one that most players know first. */
 const codecs: Readonly<Record<FilmFormat, readonly VideoCodec[]>> = {

@@ -4,8 +4,7 @@ import { Fault } from "../page/fault.js";
 import type { Viewer } from "../viewer/viewer.js";
 import { beginFilm } from "./encoder.js";
 import { type FilmPlan, frameCount, momentAt, momentOf, planned } from "./plan.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** How a film is made, besides what it shows. */
 export type FilmCallbacks = {

@@ -3,8 +3,7 @@
 import { Fault } from "../page/fault.js";
 import type { ViewerState } from "../viewer/state.js";
 import { wrapped } from "../viewer/state.js";
-import { fillIn, type Problem } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, type Problem, texts } from "../words/words.js";
 
 /** What turns once in a film: the camera, the light, or the camera one way and the light the other. */
 export const motions = ["turntable", "light", "both"] as const;

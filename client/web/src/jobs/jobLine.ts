@@ -7,8 +7,7 @@ import type { Job } from "../page/rest.js";
 import { thumbnail } from "../page/thumbnail.js";
 import { isFinal } from "./store.js";
 import { stateLabel } from "./view.js";
-import { fillIn } from "../words/messages.js";
-import { named, texts } from "../words/words.js";
+import { fillIn, named, texts } from "../words/words.js";
 
 /** The stages of a training, in their order. */
 export const stages = ["cameras", "ingest", "masks", "cache", "joint", "polish", "evaluate", "export"];

@@ -12,8 +12,7 @@ import { previews } from "./previews.js";
 import { resultSection } from "./results.js";
 import { isFinal } from "./store.js";
 import { type Context, stateLabel, type View } from "./view.js";
-import { fillIn } from "../words/messages.js";
-import { named, texts } from "../words/words.js";
+import { fillIn, named, texts } from "../words/words.js";
 
 /** Return the page of a job. */
 export async function jobView(context: Context, jobId: string): Promise<View> {

@@ -15,8 +15,7 @@ import {
   stateChoices,
 } from "./jobQuery.js";
 import type { Context } from "./view.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 const typingMs = 250;
 

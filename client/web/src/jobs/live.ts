@@ -6,8 +6,7 @@ import type { Job } from "../page/rest.js";
 import { chart, thinned } from "./curves.js";
 import { stages } from "./jobLine.js";
 import type { JobRecord, Sample } from "./store.js";
-import { fillIn } from "../words/messages.js";
-import { named, texts } from "../words/words.js";
+import { fillIn, named, texts } from "../words/words.js";
 
 const width = 400;
 const height = 100;

@@ -10,8 +10,7 @@ import { latestPrepared, type Prepared, RestMaskBackend, readPrepared } from "..
 import { progressText } from "./jobLine.js";
 import { isFinal } from "./store.js";
 import type { Context, View } from "./view.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Makes the element in which masks are corrected. */
 export type OpenEditor = (given: {

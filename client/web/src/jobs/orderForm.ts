@@ -7,8 +7,7 @@ import { formatAbout } from "../page/format.js";
 import { type Estimate, newKey, type Preset } from "../page/rest.js";
 import { correctionsOf, correctionsText, latestPrepared } from "../masks/restBackend.js";
 import type { Context } from "./view.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** An invalid line of the settings. */
 export class BadSetting extends Error {

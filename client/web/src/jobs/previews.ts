@@ -4,8 +4,7 @@ import { blobAddress } from "../page/addresses.js";
 import { h, setText } from "../page/dom.js";
 import type { Part } from "./live.js";
 import type { JobRecord, Preview } from "./store.js";
-import { fillIn } from "../words/messages.js";
-import { named, texts } from "../words/words.js";
+import { fillIn, named, texts } from "../words/words.js";
 
 /** Begins the names of pictures between which the camera has moved on by a step. */
 const turning = "turning_";

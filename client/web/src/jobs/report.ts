@@ -3,8 +3,7 @@
 import { h, section } from "../page/dom.js";
 import { formatNumber } from "../page/format.js";
 import type { Finding, Scene, SceneReport } from "../page/rest.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 const layouts: ReadonlyMap<string, string> = new Map([
   ["tensoir_synthetic", "TensoIR-synthetic"],

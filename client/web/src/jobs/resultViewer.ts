@@ -2,8 +2,7 @@
 
 import { explain } from "../page/actions.js";
 import { h } from "../page/dom.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Where the files of a bundle are. */
 export type Shown = {

@@ -8,8 +8,7 @@ import { sharePanel } from "../share/panel.js";
 import { resultViewer } from "./resultViewer.js";
 import { metricRows, type Report, verdicts } from "./verdicts.js";
 import type { Context } from "./view.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Files of a bundle that other programs open: their path, and what the button calls them. */
 const assets: readonly [string, string][] = [

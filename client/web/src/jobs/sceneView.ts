@@ -10,8 +10,7 @@ import { reportSection } from "./report.js";
 import { isFinal } from "./store.js";
 import { uploadPanel } from "./uploadPanel.js";
 import { type Context, stateLabel, type View } from "./view.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Return the page of a scene that is known. */
 export async function sceneView(context: Context, sceneId: string): Promise<View> {

@@ -10,8 +10,7 @@ import { jobsPanel } from "./jobsPanel.js";
 import { isFinal } from "./store.js";
 import { uploadPanel } from "./uploadPanel.js";
 import { type Context, stateLabel, type View } from "./view.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 type Page<T> = { readonly items: readonly T[]; readonly next_cursor: string | null };
 

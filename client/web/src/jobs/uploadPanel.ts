@@ -9,8 +9,7 @@ import { type Candidate, collect } from "../upload/collect.js";
 import type { UploadStep } from "../upload/upload.js";
 import type { Running } from "../upload/uploads.js";
 import type { Context } from "./view.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Return the status of an upload in a line. */
 export function describe(step: UploadStep): string {

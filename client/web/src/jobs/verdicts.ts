@@ -1,8 +1,7 @@
 /** Figures of an evaluation in words. What the words mean is in docs/howto/web-pages.md. */
 
 import { formatNumber } from "../page/format.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** The part of report.json (lambent_proto.v1.EvaluationReport) that is shown. */
 export type Report = {

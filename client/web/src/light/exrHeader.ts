@@ -4,8 +4,7 @@ import type { EnvironmentMap } from "../engine/environmentMap.js";
 import { MapFault, tooLarge } from "./fault.js";
 import type { Layout } from "./layouts.js";
 import { type Matrix, rec709Matrix, toRec709 } from "./primaries.js";
-import { fillIn } from "../words/messages.js";
-import { mapFaults } from "../words/faults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 
 /** The numbers of the chromaticities of a header, in the order of its bytes. */
 export const primaries = ["redX", "redY", "greenX", "greenY", "blueX", "blueY", "whiteX", "whiteY"];

@@ -1,8 +1,7 @@
 /** An environment map that cannot be used; codes are those of `lambent_relight`. */
 
 import { Fault, toldOf } from "../page/fault.js";
-import { fillIn } from "../words/messages.js";
-import { mapFaults } from "../words/faults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 
 /** A problem with a map; `code` starts with "environment.". */
 export class MapFault extends Fault {

@@ -5,8 +5,7 @@
  */
 
 import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { fillIn } from "../words/messages.js";
-import { mapFaults } from "../words/faults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 import { MapFault } from "./fault.js";
 
 type Vector = readonly [x: number, y: number, z: number];

@@ -8,8 +8,7 @@ import { openEnvironment } from "./open.js";
 import { type NotedMap, type PreparedLight, prepareLight, usableMap } from "./prepare.js";
 import { type PresetName, presetMap } from "./presets.js";
 import { ballPicture, smallMap } from "./thumbnail.js";
-import { fillIn } from "../words/messages.js";
-import { mapFaults } from "../words/faults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 import { workerSpeaks } from "../words/languages.js";
 
 /** The source of a map; the format is detected from the first bytes. */

@@ -1,8 +1,7 @@
 /** Environment maps from files: decoded, repaired, and converted to latitude-longitude where they are laid out otherwise. */
 
 import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { fillIn } from "../words/messages.js";
-import { mapFaults } from "../words/faults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 import { readExr } from "./exrInput.js";
 import { MapFault } from "./fault.js";
 import { blankUnused, decidedLayout, type Layout, toLatLong } from "./layouts.js";

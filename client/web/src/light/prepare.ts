@@ -10,8 +10,7 @@ import { project } from "../engine/harmonics.js";
 import { prefilter } from "../engine/prefilter.js";
 import { MapFault } from "./fault.js";
 import { toHalf } from "../engine/half.js";
-import { fillIn } from "../words/messages.js";
-import { mapFaults } from "../words/faults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 
 /** Levels of roughness: 0, 1/8, ... 1. */
 export const numLevels = 9;

@@ -8,8 +8,7 @@ import type { EnvironmentMap } from "../engine/environmentMap.js";
 import { MapFault, tooLarge } from "./fault.js";
 import { type Matrix, rec709Matrix, toRec709 } from "./primaries.js";
 import { DamagedLines, decodeLines } from "./rgbeRows.js";
-import { fillIn } from "../words/messages.js";
-import { mapFaults } from "../words/faults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 
 const resolutionLine = /^([-+])([XY]) (\d{1,7}) ([-+])([XY]) (\d{1,7})$/;
 

@@ -4,8 +4,7 @@
  * all of it is taken as flat, if it then ends where the pixels do.
  */
 
-import { fillIn } from "../words/messages.js";
-import { mapFaults } from "../words/faults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 
 /** The end of a sentence about a file whose lines cannot be decoded. */
 export class DamagedLines extends Error {}

@@ -8,8 +8,7 @@ import { documentOf, History } from "./corrections.js";
 import { doubtfulFirst, Grid } from "./grid.js";
 import { Pad } from "./pad.js";
 import { toolControls } from "./tools.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 export type EditorContext = {
   readonly backend: MaskBackend;

@@ -3,8 +3,7 @@
 import { h, setText } from "../page/dom.js";
 import type { Frame, MaskBackend } from "./backend.js";
 import { drawThumbnail } from "./paint.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 const thumbnailSide = 240;
 /** So many requests are under way at once. */

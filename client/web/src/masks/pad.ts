@@ -6,8 +6,7 @@ import type { Frame } from "./backend.js";
 import { drawCursor, drawMark, overlayOf } from "./paint.js";
 import { afterKey, brushShare, type Tools } from "./tools.js";
 import { fitted, moved, showing, toPhoto, toScreen, type Viewport, zoomed } from "./viewport.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 export type PadHost = {
   readonly tools: () => Tools;

@@ -4,8 +4,7 @@ import { sceneAddress } from "../page/addresses.js";
 import type { Api, Artifact, Job } from "../page/rest.js";
 import type { Applied, Capture, Finished, MaskBackend } from "./backend.js";
 import type { CorrectionList } from "./corrections.js";
-import { fillIn } from "../words/messages.js";
-import { named, texts } from "../words/words.js";
+import { fillIn, named, texts } from "../words/words.js";
 
 /** `preparation/frames.json` of a job: see `lambent_capture.masks.preview`. */
 export type Preparation = {

@@ -2,8 +2,7 @@
 
 import { h } from "../page/dom.js";
 import type { Label } from "./corrections.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 export type Shape = "brush" | "box" | "move";
 export type Tools = { label: Label; shape: Shape; brush: number };

@@ -1,6 +1,6 @@
 /** Inputs that cannot be used. */
 
-import type { Problem } from "../words/messages.js";
+import type { Problem } from "../words/words.js";
 
 /** A problem with an input and what to do about it; `code` is one of those that are documented. */
 export class Fault extends Error {

@@ -3,8 +3,7 @@
 import { explain } from "./actions.js";
 import { h } from "./dom.js";
 import { Refused } from "./rest.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 export const undoMs = 10_000;
 

@@ -1,8 +1,7 @@
 /** The REST API for the pages: typed bodies, problems as exceptions. */
 
 import type { components } from "../contract/rest.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 export type Schemas = components["schemas"];
 export type Job = Schemas["Job"];

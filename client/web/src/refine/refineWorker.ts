@@ -25,7 +25,7 @@ import { pixelFeatures } from "./pixelFeatures.js";
 import { brightness, SkyLight } from "./skyLight.js";
 import { type SurfacePoints, surfacePoints } from "./surfacePoints.js";
 import { type CacheFiles, openMesh, openTracer, RefineFault, type Tracer } from "./tracer.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults } from "../words/words.js";
 import { workerSpeaks } from "../words/languages.js";
 
 /** Directions of a point in one pass. */

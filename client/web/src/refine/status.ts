@@ -1,7 +1,6 @@
 /** The status and options of refining. */
 
-import { fillIn } from "../words/messages.js";
-import { locale, texts } from "../words/words.js";
+import { fillIn, locale, texts } from "../words/words.js";
 
 /**
  * What finds the light that reaches a point: "mesh": exact rays against the mesh, on the processor; "wgsl" and "wasm":

@@ -6,8 +6,7 @@ import { download } from "../viewer/save.js";
 import type { Viewer } from "../viewer/viewer.js";
 import { statusText } from "./status.js";
 import { refinedFile } from "./stillFile.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Refine a picture and offer it as a file, with its progress in a dialog in `root`; resolves when that is closed. */
 export async function saveRefined(

@@ -4,8 +4,7 @@ import type { AtlasMesh } from "../bundle/mesh.js";
 import { exportAgain } from "../bundle/fault.js";
 import { spreadTexels } from "../bundle/texels.js";
 import type { PackedTransport } from "../bundle/transport.js";
-import { fillIn } from "../words/messages.js";
-import { bundleFaults } from "../words/faults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /**
  * Return the position of every covered texel's centre on the mesh, triples; throws BundleFault where the mesh covers

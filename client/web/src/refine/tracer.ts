@@ -10,8 +10,7 @@ import { NotFused } from "../engine/fusedWeights.js";
 import { openGraph } from "../engine/onnxGraphs.js";
 import { MeshRays } from "./meshRays.js";
 import type { Backend } from "./status.js";
-import { fillIn } from "../words/messages.js";
-import { deviceFaults } from "../words/faults.js";
+import { deviceFaults, fillIn } from "../words/words.js";
 
 /** Opacity and distance of rays, one number each, and the texels that were met where those are known. */
 export type Traced = {

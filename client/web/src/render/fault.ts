@@ -1,6 +1,6 @@
 /** Errors of drawing. */
 
-import type { Problem } from "../words/messages.js";
+import type { Problem } from "../words/words.js";
 
 /** Thrown where the browser cannot draw what the viewer needs. */
 export class GraphicsFault extends Error {

@@ -2,7 +2,7 @@
 
 import { WebGLRenderer } from "three";
 import { GraphicsFault } from "./fault.js";
-import { deviceFaults } from "../words/faults.js";
+import { deviceFaults } from "../words/words.js";
 
 /** Return what draws on a canvas; throws GraphicsFault where there is no WebGL2 or no target for radiance. */
 export function rendererOn(canvas: HTMLCanvasElement): WebGLRenderer {

@@ -32,8 +32,7 @@ import { aim } from "./projection.js";
 import { rendererOn } from "./renderer.js";
 import { cameraOfPart, type Part, partsOf, shareIn, tilesOf } from "./tiles.js";
 import { BundleTextures, longestSide, splitSumTexture } from "./textures.js";
-import { fillIn } from "../words/messages.js";
-import { deviceFaults } from "../words/faults.js";
+import { deviceFaults, fillIn } from "../words/words.js";
 
 /** One half of the picture, or all of it. */
 export type Side = {

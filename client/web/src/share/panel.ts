@@ -6,8 +6,7 @@ import { h } from "../page/dom.js";
 import { formatTime } from "../page/format.js";
 import type { Api, Share } from "../page/rest.js";
 import { elementSnippet, frameSnippet, originsIn } from "./snippets.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** The callbacks of the panel. */
 export type ShareContext = {

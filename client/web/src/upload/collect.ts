@@ -2,8 +2,7 @@
 
 import { BundleFault } from "../bundle/fault.js";
 import { ZipArchive } from "../bundle/zip.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** A file of a scene whose bytes are read when they are needed. */
 export type SceneFile = {

@@ -6,8 +6,7 @@ import { button, make } from "./fields.js";
 import { linkOf, missingOf } from "./links.js";
 import type { ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** What copying needs of the interface. */
 export type CopyHost = {

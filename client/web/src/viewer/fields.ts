@@ -1,7 +1,6 @@
 /** Plain form fields with labels. */
 
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** A field that shows a value and reports changes by the user. */
 export type Field<T> = { readonly element: HTMLElement; readonly show: (value: T) => void };

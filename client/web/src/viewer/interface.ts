@@ -17,8 +17,7 @@ import { viewerSheet } from "./styles.js";
 import { refinedChannels, statusText } from "../refine/status.js";
 import type { Viewer } from "./viewer.js";
 import { Welcome } from "./welcome.js";
-import { fillIn } from "../words/messages.js";
-import { locale, texts } from "../words/words.js";
+import { fillIn, locale, texts } from "../words/words.js";
 
 const messageMs = 8000;
 /** Share of the height that controls may take from the picture. */

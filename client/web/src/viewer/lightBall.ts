@@ -7,8 +7,7 @@ import { listening, make, releases } from "./fields.js";
 import { turnFor } from "./firstTurn.js";
 import { turned, turnedAbout } from "./turning.js";
 import type { Viewer } from "./viewer.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** What the ball asks for. */
 export type BallActions = {

@@ -1,8 +1,7 @@
 /** Display names of lights. */
 
 import type { Viewer } from "./viewer.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Return all lights that can be chosen now, by their name in the state, and what people read. */
 export function lightTexts(viewer: Viewer): [string, string][] {

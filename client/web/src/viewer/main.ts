@@ -2,8 +2,7 @@
 
 import { followAddress } from "./addressBar.js";
 import { defineViewer, type LambentViewerElement } from "./element.js";
-import { fillIn } from "../words/messages.js";
-import { speakAsBrowser, texts } from "../words/words.js";
+import { fillIn, speakAsBrowser, texts } from "../words/words.js";
 
 await speakAsBrowser();
 document.title = texts.viewer.page;

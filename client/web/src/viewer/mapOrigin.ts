@@ -4,8 +4,7 @@ import type { LoadedBundle } from "../bundle/load.js";
 import { MapFault } from "../light/fault.js";
 import type { MapOrigin } from "../light/lightWorker.js";
 import { isPreset } from "./state.js";
-import { fillIn } from "../words/messages.js";
-import { mapFaults } from "../words/faults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 
 /** Return the origin of a light by its name in the state; throws MapFault where there is none. */
 export function mapOrigin(

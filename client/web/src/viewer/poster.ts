@@ -1,8 +1,7 @@
 /** The picture in place of a viewer that does not draw: while it loads, until it is wanted, or because others draw. */
 
 import { button, make } from "./fields.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** A layer above the canvas. */
 export class Poster {

@@ -24,8 +24,7 @@ import { besidePhotograph } from "./photograph.js";
 import { initialState, limits, type OrbitPose, type ViewerState } from "./state.js";
 import { Stills } from "./stills.js";
 import { mainDirection } from "./turning.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 const stillSamples = 2;
 const stillAfterMs = 150;

@@ -2,8 +2,7 @@
 
 import { formatSize } from "../page/format.js";
 import { make } from "./fields.js";
-import { fillIn } from "../words/messages.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** The panel over an empty picture. */
 export class Welcome {
