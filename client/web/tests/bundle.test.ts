@@ -1,7 +1,6 @@
-import { MapFault, mapTold } from "../src/light/fault.js";
+import { BundleFault, MapFault, toldOf } from "../src/page/fault.js";
 import { createHash } from "node:crypto";
 import { describe, expect, it, vi } from "vitest";
-import { BundleFault, bundleTold } from "../src/bundle/fault.js";
 import { type LoadedBundle, loadBundle } from "../src/bundle/load.js";
 import { checkPath, openBundle } from "../src/bundle/manifest.js";
 import { meshFromGlb } from "../src/bundle/mesh.js";
@@ -346,12 +345,9 @@ describe("what does not fit into memory", () => {
   };
 
   it("is told as that, of bundles and of maps", () => {
-    expect(bundleTold(unfit()).code).toBe("bundle.memory");
-    expect(bundleTold(unfit()).message).toContain("not enough memory");
-    expect(mapTold(unfit()).code).toBe("environment.memory");
-    expect(bundleTold(new TypeError("x"))).toEqual({ code: "bundle.failed", message: "x" });
-    expect(mapTold(new MapFault("environment.x", { what: "what", advice: "advice" })).message).toBe(
-      "what; advice",
-    );
+    expect(toldOf(unfit(), "bundle", "full")).toEqual({ code: "bundle.memory", message: "full" });
+    expect(toldOf(new TypeError("x"), "bundle", "full")).toEqual({ code: "bundle.failed", message: "x" });
+    const fault = new MapFault("environment.x", { what: "what", advice: "advice" });
+    expect(toldOf(fault, "environment", "full")).toEqual({ code: "environment.x", message: "what; advice" });
   });
 });

@@ -1,7 +1,7 @@
 import { readFileSync } from "node:fs";
 import { describe, expect, it } from "vitest";
 import type { Direction } from "../src/engine/environment.js";
-import { MapFault } from "../src/light/fault.js";
+import { MapFault } from "../src/page/fault.js";
 import { type Layout, layoutOfSize, toLatLong } from "../src/light/layouts.js";
 import { openEnvironment } from "../src/light/open.js";
 import { rec709Matrix, toRec709 } from "../src/light/primaries.js";

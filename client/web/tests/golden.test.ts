@@ -1,6 +1,6 @@
 import { readdirSync, readFileSync } from "node:fs";
 import { describe, expect, it } from "vitest";
-import { BundleFault } from "../src/bundle/fault.js";
+import { BundleFault } from "../src/page/fault.js";
 import { loadBundle } from "../src/bundle/load.js";
 import { openBundle } from "../src/bundle/manifest.js";
 import { openSource } from "../src/bundle/source.js";

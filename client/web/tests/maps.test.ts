@@ -7,7 +7,7 @@ import { cosineFactors } from "../src/engine/harmonics.js";
 import { ggxBands, numLobeSteps } from "../src/engine/lobes.js";
 import { shadowDirections, shadowWeights } from "../src/engine/shadows.js";
 import { decodedByThree, readExr } from "../src/light/exrInput.js";
-import { MapFault } from "../src/light/fault.js";
+import { MapFault } from "../src/page/fault.js";
 import { halfValue, toHalf } from "../src/engine/half.js";
 import { maxDominant, numLevels, prepareLight, usableMap } from "../src/light/prepare.js";
 import { presetMap, presetNames } from "../src/light/presets.js";

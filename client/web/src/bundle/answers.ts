@@ -1,6 +1,6 @@
 /** What a host's refusal means for someone who wanted to see a bundle. */
 
-import { BundleFault } from "./fault.js";
+import { BundleFault } from "../page/fault.js";
 import { bundleFaults, fillIn } from "../words/words.js";
 
 /** Return the fault for an answer that was no success; `path` is the file that was asked for, perhaps by a share link. */

@@ -2,10 +2,9 @@
 
 import { startWorker } from "../page/workers.js";
 import workerUrl from "./bundleWorker.ts?worker&url";
-import { BundleFault } from "./fault.js";
+import { BundleFault } from "../page/fault.js";
 import type { BundleAnswer } from "./bundleWorker.js";
-import type { BundleNews, ShownBundle } from "./load.js";
-import { closePictures } from "./pictures.js";
+import { type BundleNews, closePictures, type ShownBundle } from "./load.js";
 import type { BundleOrigin } from "./source.js";
 import type { FinerTables } from "./transport.js";
 import { bundleFaults } from "../words/words.js";

@@ -2,7 +2,7 @@
 
 import { fromJsonString } from "@bufbuild/protobuf";
 import { type BundleManifest, BundleManifestSchema } from "../contract/lambent_proto/v1/bundle_pb.js";
-import { BundleFault, exportAgain, fetchAgain, unsafe } from "./fault.js";
+import { BundleFault, exportAgain, fetchAgain, unsafe } from "../page/fault.js";
 import { sha256Hex } from "../page/buffers.js";
 import type { FileSource } from "./source.js";
 import { bundleFaults, fillIn } from "../words/words.js";

@@ -1,6 +1,6 @@
 /** The surface of a bundle, read from its mesh/asset.glb, as `lambent_relight.baked.mesh` does. */
 
-import { type BundleFault, exportAgain } from "./fault.js";
+import { type BundleFault, exportAgain } from "../page/fault.js";
 import { maxAtlasSize } from "./manifest.js";
 import { bundleFaults, fillIn } from "../words/words.js";
 

@@ -1,7 +1,7 @@
 /** Sources of a bundle's files: a web folder, our server, a zip archive, dropped files. */
 
 import { refusal, silence } from "./answers.js";
-import { BundleFault, fetchAgain, unsafe } from "./fault.js";
+import { BundleFault, fetchAgain, unsafe } from "../page/fault.js";
 import { ZipArchive, type RangeReader } from "./zip.js";
 import { bundleFaults, fillIn } from "../words/words.js";
 

@@ -7,7 +7,7 @@
  */
 
 import type { Transport, TransportPlanes } from "../contract/lambent_proto/v1/bundle_pb.js";
-import { type BundleFault, exportAgain } from "./fault.js";
+import { type BundleFault, exportAgain } from "../page/fault.js";
 import { maxAtlasSize } from "./manifest.js";
 import { blocksAround, spreadTexels } from "./texels.js";
 import { bundleFaults, fillIn } from "../words/words.js";

@@ -1,7 +1,7 @@
 /** The grid of uncertainties, an NPY file of float16, as `lambent_relight.bundle.uncertainty` reads it. */
 
 import type { Uncertainty } from "../contract/lambent_proto/v1/bundle_pb.js";
-import { exportAgain, type BundleFault } from "./fault.js";
+import { exportAgain, type BundleFault } from "../page/fault.js";
 import { bundleFaults, fillIn } from "../words/words.js";
 
 /** One channel of the grid, x fastest. */

@@ -1,7 +1,7 @@
 /** Zip archives, read in parts: from a file that was dropped, or by ranges of an address. */
 
-import { inflated } from "../page/inflate.js";
-import { BundleFault, fetchAgain, unsafe } from "./fault.js";
+import { inflated } from "../page/buffers.js";
+import { BundleFault, fetchAgain, unsafe } from "../page/fault.js";
 import { bundleFaults, fillIn } from "../words/words.js";
 
 /** Some bytes of a file; `start` may be negative, counted from the end. */

@@ -4,7 +4,7 @@
  */
 
 import type { BundleManifest, Grid, GridLevel, TensorEntry } from "../contract/lambent_proto/v1/bundle_pb.js";
-import { exportAgain } from "../bundle/fault.js";
+import { exportAgain } from "../page/fault.js";
 import { halfValue } from "./half.js";
 import { modelMetadata } from "./onnxModel.js";
 import { bundleFaults, fillIn } from "../words/words.js";

@@ -75,7 +75,9 @@ export async function beginFilm(plan: FilmPlan): Promise<FilmWriter> {
     codec,
     add: async (rgba) => {
       const sample = new VideoSample(rgba, {
-        ...{ format: "RGBX", codedWidth: width, codedHeight: height },
+        format: "RGBX",
+        codedWidth: width,
+        codedHeight: height,
         timestamp: frame / framesPerSecond,
         duration: 1 / framesPerSecond,
       });

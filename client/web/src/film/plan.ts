@@ -1,8 +1,7 @@
 /** What a film shows, and when: sizes, frames, and the state of the viewer at each of them. */
 
 import { Fault } from "../page/fault.js";
-import type { ViewerState } from "../viewer/state.js";
-import { wrapped } from "../viewer/state.js";
+import { type ViewerState, wrapped } from "../viewer/state.js";
 import { fillIn, type Problem, texts } from "../words/words.js";
 
 /** What turns once in a film: the camera, the light, or the camera one way and the light the other. */

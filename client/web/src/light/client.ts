@@ -1,9 +1,8 @@
 /** Asks the light worker. */
 
-import { startWorker } from "../page/workers.js";
+import { Questions, startWorker, type Unnumbered } from "../page/workers.js";
 import workerUrl from "./lightWorker.ts?worker&url";
-import { Questions, type Unnumbered } from "../page/questions.js";
-import { MapFault } from "./fault.js";
+import { MapFault } from "../page/fault.js";
 import type { LightAnswer, LightQuestion, MapOrigin } from "./lightWorker.js";
 import type { PreparedLight } from "./prepare.js";
 

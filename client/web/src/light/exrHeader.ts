@@ -1,7 +1,7 @@
 /** Reads and checks the header of an OpenEXR file, like `lambent_core.exr`. */
 
 import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { MapFault, tooLarge } from "./fault.js";
+import { MapFault, tooLarge } from "../page/fault.js";
 import type { Layout } from "./layouts.js";
 import { type Matrix, rec709Matrix, toRec709 } from "./primaries.js";
 import { fillIn, mapFaults } from "../words/words.js";

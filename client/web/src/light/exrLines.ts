@@ -6,7 +6,7 @@
  */
 
 import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { inflated } from "../page/inflate.js";
+import { inflated } from "../page/buffers.js";
 import { halfTable } from "../engine/half.js";
 import { channelsOf, damaged, type Header, primaries, type Stated } from "./exrHeader.js";
 

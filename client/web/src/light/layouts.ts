@@ -6,7 +6,7 @@
 
 import type { EnvironmentMap } from "../engine/environmentMap.js";
 import { fillIn, mapFaults } from "../words/words.js";
-import { MapFault } from "./fault.js";
+import { MapFault } from "../page/fault.js";
 
 type Vector = readonly [x: number, y: number, z: number];
 type Face = readonly [ahead: Vector, right: Vector, down: Vector];

@@ -2,7 +2,7 @@
 
 import { buffersOf } from "../page/buffers.js";
 import { splitSumTable } from "../engine/splitSum.js";
-import { MapFault, mapTold } from "./fault.js";
+import { MapFault, toldOf } from "../page/fault.js";
 import type { EnvironmentMap } from "../engine/environmentMap.js";
 import { openEnvironment } from "./open.js";
 import { type NotedMap, type PreparedLight, prepareLight, usableMap } from "./prepare.js";
@@ -57,7 +57,7 @@ self.onmessage = async ({ data: question }: MessageEvent<LightQuestion>) => {
     const light = prepareLight(await openMap(question.origin), question.bands, question.dominant);
     answer({ id, kind: "light", light }, buffersOf(light));
   } catch (error) {
-    answer({ id, kind: "failed", ...mapTold(error) }, []);
+    answer({ id, kind: "failed", ...toldOf(error, "environment", mapFaults.memory) }, []);
   }
 };
 

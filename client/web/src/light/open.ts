@@ -3,7 +3,7 @@
 import type { EnvironmentMap } from "../engine/environmentMap.js";
 import { fillIn, mapFaults } from "../words/words.js";
 import { readExr } from "./exrInput.js";
-import { MapFault } from "./fault.js";
+import { MapFault } from "../page/fault.js";
 import { blankUnused, decidedLayout, type Layout, toLatLong } from "./layouts.js";
 import { maxWidth, repaired } from "./prepare.js";
 import { readRgbe } from "./rgbe.js";

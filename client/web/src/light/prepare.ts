@@ -8,7 +8,7 @@ import { directionOfPixel } from "../engine/environment.js";
 import { type EnvironmentMap, pixelSolidAngle, resized } from "../engine/environmentMap.js";
 import { project } from "../engine/harmonics.js";
 import { prefilter } from "../engine/prefilter.js";
-import { MapFault } from "./fault.js";
+import { MapFault } from "../page/fault.js";
 import { toHalf } from "../engine/half.js";
 import { fillIn, mapFaults } from "../words/words.js";
 

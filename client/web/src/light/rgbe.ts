@@ -5,7 +5,7 @@
  */
 
 import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { MapFault, tooLarge } from "./fault.js";
+import { MapFault, tooLarge } from "../page/fault.js";
 import { type Matrix, rec709Matrix, toRec709 } from "./primaries.js";
 import { DamagedLines, decodeLines } from "./rgbeRows.js";
 import { fillIn, mapFaults } from "../words/words.js";

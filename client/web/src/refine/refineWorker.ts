@@ -1,6 +1,6 @@
 /** Refines pictures in a worker. */
 
-import { BundleFault } from "../bundle/fault.js";
+import { BundleFault } from "../page/fault.js";
 import { openBundle } from "../bundle/manifest.js";
 import { openSource } from "../bundle/source.js";
 import { forHits } from "../bundle/transport.js";

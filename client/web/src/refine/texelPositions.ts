@@ -1,7 +1,7 @@
 /** World positions of an atlas's texels: `texel_positions` of `lambent_relight.baked.scene`. */
 
 import type { AtlasMesh } from "../bundle/mesh.js";
-import { exportAgain } from "../bundle/fault.js";
+import { exportAgain } from "../page/fault.js";
 import { spreadTexels } from "../bundle/texels.js";
 import type { PackedTransport } from "../bundle/transport.js";
 import { bundleFaults, fillIn } from "../words/words.js";

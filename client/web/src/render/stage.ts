@@ -1,6 +1,7 @@
 /** Draws a bundle under lights: onto a canvas, or into arrays. */
 
 import {
+  type DataTexture,
   HalfFloatType,
   PerspectiveCamera,
   RGBAFormat,
@@ -9,9 +10,7 @@ import {
   type WebGLRenderer,
   WebGLRenderTarget,
 } from "three";
-import type { DataTexture } from "three";
-import type { ShownBundle } from "../bundle/load.js";
-import { closePictures } from "../bundle/pictures.js";
+import { closePictures, type ShownBundle } from "../bundle/load.js";
 import type { PreparedLight } from "../light/prepare.js";
 import { ballOf } from "./ball.js";
 import { groundHeight } from "./contact.js";

@@ -1,6 +1,6 @@
 /** Dropped or chosen files as the files of one scene. */
 
-import { BundleFault } from "../bundle/fault.js";
+import { BundleFault } from "../page/fault.js";
 import { ZipArchive } from "../bundle/zip.js";
 import { fillIn, texts } from "../words/words.js";
 

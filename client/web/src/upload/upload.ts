@@ -1,7 +1,6 @@
 /** Uploads a scene: hashes it, asks which files the server lacks, sends them, and commits the upload. */
 
-import { pause } from "../page/pause.js";
-import { type Api, type PlannedFile, Refused, type Scene, Unreachable } from "../page/rest.js";
+import { type Api, pause, type PlannedFile, Refused, type Scene, Unreachable } from "../page/rest.js";
 import type { Candidate, SceneFile } from "./collect.js";
 import { type DirectTools, directSender } from "./direct.js";
 

@@ -1,6 +1,6 @@
 /** The uploads of this tab; they continue while the visitor is in other views. */
 
-import { Questions } from "../page/questions.js";
+import { Questions } from "../page/workers.js";
 import type { Api, Scene } from "../page/rest.js";
 import type { Candidate } from "./collect.js";
 import type { HashAnswer, HashRequest } from "./hashWorker.js";

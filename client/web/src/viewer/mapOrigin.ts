@@ -1,7 +1,7 @@
 /** Where the map of a light comes from. */
 
 import type { LoadedBundle } from "../bundle/load.js";
-import { MapFault } from "../light/fault.js";
+import { MapFault } from "../page/fault.js";
 import type { MapOrigin } from "../light/lightWorker.js";
 import { isPreset } from "./state.js";
 import { fillIn, mapFaults } from "../words/words.js";

@@ -6,7 +6,7 @@ import { type BundleOrigin, secretOf } from "../bundle/source.js";
 import { bundleAt } from "../page/addresses.js";
 import type { Direction } from "../engine/environment.js";
 import { exposureFor } from "../light/exposure.js";
-import { MapFault } from "../light/fault.js";
+import { MapFault } from "../page/fault.js";
 import type { RefinedPicture } from "../refine/accumulation.js";
 import type { Refinement } from "../refine/refinement.js";
 import type { StillHost } from "../refine/still.js";

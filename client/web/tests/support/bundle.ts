@@ -3,7 +3,7 @@
 import { createHash } from "node:crypto";
 import { deflateRawSync } from "node:zlib";
 import type { FileSource } from "../../src/bundle/source.js";
-import { BundleFault } from "../../src/bundle/fault.js";
+import { BundleFault } from "../../src/page/fault.js";
 
 type Bytes = Uint8Array<ArrayBuffer>;
 export type Manifest = {
