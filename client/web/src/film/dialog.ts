@@ -1,5 +1,6 @@
 /** The dialog that makes films; loaded when it is first opened. */
 
+import { messageOf } from "../page/fault.js";
 import { formatSize } from "../page/format.js";
 import { WorkNews } from "../viewer/dialogs.js";
 import { button, check, choice, type Field, make } from "../viewer/fields.js";
@@ -116,7 +117,7 @@ export function filmDialog(
       say(`${fillIn(texts.film.frames, { n: count })}${behind}.`);
       start.disabled = false;
     } catch (error) {
-      say(textOf(error), true);
+      say(messageOf(error), true);
       start.disabled = true;
     }
   };
@@ -170,7 +171,7 @@ export function filmDialog(
       );
     } catch (error) {
       if (running.signal.aborted) say(texts.film.cancelled);
-      else say(textOf(error), true);
+      else say(messageOf(error), true);
     } finally {
       running = null;
       busy(false);
@@ -194,8 +195,4 @@ export function filmDialog(
       element.showModal();
     },
   };
-}
-
-function textOf(error: unknown): string {
-  return error instanceof Error ? error.message : String(error);
 }

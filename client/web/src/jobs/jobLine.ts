@@ -1,7 +1,7 @@
 /** A job in a list, and its summary in a line. */
 
 import { jobAddress } from "../page/addresses.js";
-import { h, replaceKeyed, setText } from "../page/dom.js";
+import { arrange, h, replaceKeyed, setText } from "../page/dom.js";
 import { formatDuration, formatNumber, formatTime } from "../page/format.js";
 import type { Job } from "../page/rest.js";
 import { thumbnail } from "../page/thumbnail.js";
@@ -94,16 +94,15 @@ export function jobList(label: string, nameOf: (job: Job) => string) {
   const element = h("ol", { class: "list", "aria-label": label });
   const lines = new Map<string, ReturnType<typeof jobLine>>();
   const update = (jobs: readonly Job[]) => {
-    jobs.forEach((job, place) => {
-      let line = lines.get(job.id);
-      if (line === undefined) {
-        line = jobLine(job, nameOf(job));
-        lines.set(job.id, line);
-      } else line.update(job);
-      if (element.children[place] !== line.element)
-        element.insertBefore(line.element, element.children[place] ?? null);
-    });
-    while (element.children.length > jobs.length) element.lastElementChild?.remove();
+    for (const job of jobs) {
+      const known = lines.get(job.id);
+      if (known === undefined) lines.set(job.id, jobLine(job, nameOf(job)));
+      else known.update(job);
+    }
+    arrange(
+      element,
+      jobs.map(({ id }) => lines.get(id)!.element),
+    );
     element.hidden = jobs.length === 0;
   };
   return { element, update };

@@ -2,7 +2,7 @@
 
 import { button } from "../page/actions.js";
 import { jobAddress, sceneAddress, viewerAddress } from "../page/addresses.js";
-import { h, section } from "../page/dom.js";
+import { arrange, h, section } from "../page/dom.js";
 import { formatSize, formatTime } from "../page/format.js";
 import type { Bundle, Scene } from "../page/rest.js";
 import { thumbnailOf } from "../page/thumbnail.js";
@@ -179,11 +179,7 @@ function pagedList<T extends { readonly id: string }>(
       }
       return known.element;
     });
-    // Those that stay keep their place in the document, and with it the focus.
-    for (const element of [...list.children]) if (!elements.includes(element as never)) element.remove();
-    elements.forEach((element, place) => {
-      if (list.children[place] !== element) list.insertBefore(element, list.children[place] ?? null);
-    });
+    arrange(list, elements);
     more.hidden = cursor === null;
     empty.hidden = shown.length > 0;
     list.hidden = shown.length === 0;

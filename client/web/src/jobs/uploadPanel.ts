@@ -1,7 +1,7 @@
 /** The panel for dropping or choosing photographs, with the current uploads. */
 
 import { sceneAddress } from "../page/addresses.js";
-import { h, setText } from "../page/dom.js";
+import { arrange, h, setText } from "../page/dom.js";
 import { chosenFiles, droppedEntries, filesIn } from "../page/files.js";
 import { formatSize } from "../page/format.js";
 import type { Scene } from "../page/rest.js";
@@ -81,23 +81,18 @@ export function uploadPanel(
   });
 
   const list = h("ul", { class: "list", "aria-label": texts.upload.uploads });
-  const rows = new Map<Promise<unknown>, { element: HTMLElement; update: (one: Running) => void }>();
+  const rows = new WeakMap<Promise<unknown>, { element: HTMLElement; update: (one: Running) => void }>();
   const draw = () => {
     const shown = uploads.all().filter((one) => one.sceneId === (scene?.id ?? null));
-    for (const [done, row] of rows) {
-      if (shown.some((one) => one.done === done)) continue;
-      row.element.remove();
-      rows.delete(done);
-    }
-    for (const one of shown) {
-      let row = rows.get(one.done);
-      if (row === undefined) {
-        row = uploadRow(one);
+    arrange(
+      list,
+      shown.map((one) => {
+        const row = rows.get(one.done) ?? uploadRow(one);
         rows.set(one.done, row);
-        list.append(row.element);
-      }
-      row.update(one);
-    }
+        row.update(one);
+        return row.element;
+      }),
+    );
     list.hidden = shown.length === 0;
     area.hidden = scene !== null && shown.length > 0;
   };

@@ -1,6 +1,7 @@
 /** All photographs, small, with their masks. */
 
 import { h, setText } from "../page/dom.js";
+import { inLines } from "../page/rest.js";
 import type { Frame, MaskBackend } from "./backend.js";
 import { drawThumbnail } from "./paint.js";
 import { fillIn, texts } from "../words/words.js";
@@ -12,15 +13,6 @@ const lines = 6;
 /** Return the frames with the doubtful ones first. */
 export function doubtfulFirst(frames: readonly Frame[]): Frame[] {
   return [...frames.filter((each) => each.doubtful), ...frames.filter((each) => !each.doubtful)];
-}
-
-/** Run `work` for all items, a few at a time. */
-export async function inLines<T>(items: readonly T[], work: (item: T) => Promise<void>): Promise<void> {
-  const left = [...items];
-  const line = async () => {
-    for (let item = left.shift(); item !== undefined; item = left.shift()) await work(item);
-  };
-  await Promise.all(Array.from({ length: Math.min(lines, items.length) }, line));
 }
 
 /** Return the words for a photograph's state. */
@@ -60,7 +52,7 @@ export class Grid {
 
   /** Fetch masks, and pictures where they are missing, and draw them. */
   async draw(names: readonly string[]): Promise<void> {
-    await inLines(names, async (name) => {
+    await inLines(lines, names, async (name) => {
       const cell = this.#cells.get(name)!;
       cell.asked += 1;
       const mine = cell.asked;

@@ -12,12 +12,17 @@ export class Fault extends Error {
   }
 }
 
+/** Return what an error says. */
+export function messageOf(error: unknown): string {
+  return error instanceof Error ? error.message : String(error);
+}
+
 /** Return a reader's error as code and message; codes of others than faults begin with `area`. */
 export function toldOf(error: unknown, area: string, outOfMemory: string) {
   if (error instanceof Fault) return { code: error.code, message: error.message };
   // Arrays that do not fit are range errors.
   if (error instanceof RangeError) return { code: `${area}.memory`, message: outOfMemory };
-  return { code: `${area}.failed`, message: error instanceof Error ? error.message : String(error) };
+  return { code: `${area}.failed`, message: messageOf(error) };
 }
 
 /** A bundle that cannot be used; codes are those of docs/reference/bundle-format.md. */

@@ -67,6 +67,19 @@ export function newKey(): string {
 
 /** Waiting for a server. */
 
+/** Run `work` for all items, `count` at a time. */
+export async function inLines<T>(
+  count: number,
+  items: readonly T[],
+  work: (item: T) => Promise<void>,
+): Promise<void> {
+  const left = [...items];
+  const line = async () => {
+    for (let item = left.shift(); item !== undefined; item = left.shift()) await work(item);
+  };
+  await Promise.all(Array.from({ length: count }, line));
+}
+
 /** Wait; ends early when the network comes back or `signal` is aborted. */
 export function pause(milliseconds: number, signal: AbortSignal): Promise<void> {
   return new Promise((resolve) => {
@@ -98,19 +111,21 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
     return requireOk(response);
   }
 
-  async function json<T>(method: string, path: string, body?: unknown, headers = {}): Promise<T> {
-    const init: RequestInit =
-      body === undefined
-        ? { headers }
-        : { body: JSON.stringify(body), headers: { "content-type": "application/json", ...headers } };
+  async function answer<T>(method: string, path: string, init: RequestInit = {}): Promise<T> {
     const response = await request(method, path, init);
     return response.status === 204 ? (null as T) : ((await response.json()) as T);
   }
 
-  async function remove(path: string, keepalive: boolean): Promise<null> {
-    await request("DELETE", path, { keepalive });
-    return null;
-  }
+  const json = <T>(method: string, path: string, body?: unknown, headers = {}): Promise<T> =>
+    answer<T>(
+      method,
+      path,
+      body === undefined
+        ? { headers }
+        : { body: JSON.stringify(body), headers: { "content-type": "application/json", ...headers } },
+    );
+
+  const remove = (path: string, keepalive: boolean) => answer<null>("DELETE", path, { keepalive });
 
   const list = (path: string, limit: number, cursor: string | null) =>
     `${path}?limit=${limit}${cursor === null ? "" : `&cursor=${encodeURIComponent(cursor)}`}`;
@@ -158,10 +173,9 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
         throw new Unreachable(texts.page.noServerShort);
       }
     },
-    putArchive: async (id: string, body: Blob, mediaType: string, signal: AbortSignal) => {
+    putArchive: (id: string, body: Blob, mediaType: string, signal: AbortSignal) => {
       const headers = { "content-type": mediaType };
-      const response = await request("PUT", `/v1/scenes/${id}/archive`, { body, signal, headers });
-      return (await response.json()) as Scene;
+      return answer<Scene>("PUT", `/v1/scenes/${id}/archive`, { body, signal, headers });
     },
     commit: (id: string) => json<Scene>("POST", `/v1/scenes/${id}:commit`),
     /** With `keepalive` the request outlives the page. */
@@ -179,8 +193,7 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
     jobsOf: (sceneId: string, kind: Job["kind"], state: Job["state"], limit: number) =>
       json<Schemas["JobList"]>("GET", `/v1/jobs?scene=${sceneId}&kind=${kind}&state=${state}&limit=${limit}`),
     /** The job once it has ended, or as it is after half a minute. */
-    waitForJob: async (id: string, signal: AbortSignal) =>
-      (await (await request("GET", `/v1/jobs/${id}?wait=30`, { signal })).json()) as Job,
+    waitForJob: (id: string, signal: AbortSignal) => answer<Job>("GET", `/v1/jobs/${id}?wait=30`, { signal }),
     deleteJob: (id: string, keepalive = false) => remove(`/v1/jobs/${id}`, keepalive),
     /** The same `key` never makes a second job. */
     submit: (order: Partial<Schemas["NewJob"]> & { scene_id: string }, key: string) =>
@@ -195,10 +208,10 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
       json<Schemas["BundleList"]>("GET", list("/v1/bundles", 50, cursor)),
     bundle: (id: string) => json<BundleDetail>("GET", `/v1/bundles/${id}`),
     /** Upload a map, .hdr or .exr. */
-    createEnvironment: async (name: string, body: Blob) => {
+    createEnvironment: (name: string, body: Blob) => {
       const headers = { "content-type": "application/octet-stream" };
       const path = `/v1/environments?name=${encodeURIComponent(name)}`;
-      return (await (await request("POST", path, { body, headers })).json()) as Schemas["Environment"];
+      return answer<Schemas["Environment"]>("POST", path, { body, headers });
     },
     shares: (id: string) => json<Schemas["ShareList"]>("GET", `/v1/bundles/${id}/shares`),
     createShare: (id: string, expiresInS: number, frameAncestors: readonly string[] = []) =>
@@ -209,7 +222,7 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
     revokeShare: (id: string) => json<null>("DELETE", `/v1/shares/${id}`),
     openShare: (token: string) => json<Schemas["OpenedShare"]>("POST", "/v1/shares:open", { token }),
     /** A JSON file among a job's artifacts. */
-    document: async <T>(url: string) => (await (await request("GET", url)).json()) as T,
+    document: <T>(url: string) => answer<T>("GET", url),
     /** The bytes of an artifact. */
     blob: async (url: string) => (await request("GET", url)).blob(),
     /** The answer whose body is the stream of events. */
