@@ -104,7 +104,8 @@ describe("primaries", () => {
     const expected = [3.2406, -1.5372, -0.4986, -0.9689, 1.8758, 0.0415, 0.0557, -0.204, 1.057];
     expect(
       found
-        .flat()
+        .transpose()
+        .toArray()
         .map((value, at) => Math.abs(value - expected[at]!))
         .every((off) => off < 1e-3),
     ).toBe(true);

@@ -48,7 +48,7 @@ export function loadInWorker(
   });
 }
 
-/** Read a bundle while `other` work goes on, of which it is nothing without; see `loadInWorker`. */
+/** Read a bundle during `other` work, without which it is useless; see `loadInWorker`. */
 export async function loadBeside(
   other: Promise<void>,
   ...[origin, tell, signal]: Parameters<typeof loadInWorker>

@@ -18,7 +18,7 @@ export function accountParts(me: Me, choose: (organisation: string) => void): re
   return [`${me.name} · `, select];
 }
 
-/** Fill an element; `switched` is called once the server goes on with another organisation. */
+/** Fill an element; `switched` is called once the server has changed to another organisation. */
 export async function showAccount(
   element: HTMLElement,
   { api, fail }: { readonly api: Pick<Api, "me" | "switchTo">; readonly fail: (error: unknown) => void },

@@ -3,11 +3,12 @@
  * returns a header only with the decoded picture, and believes the sizes that the header states.
  */
 
+import type { Matrix3 } from "three";
 import type { EnvironmentMap } from "../engine/environmentMap.js";
 import { MapFault, tooLarge } from "../page/fault.js";
 import { fillIn, mapFaults } from "../words/words.js";
 import type { Layout } from "./layouts.js";
-import { type Matrix, rec709Matrix, toRec709 } from "./primaries.js";
+import { rec709Matrix, toRec709 } from "./primaries.js";
 
 /** What is stored, and what is to be done to it. */
 export type Shown = {
@@ -18,7 +19,7 @@ export type Shown = {
   readonly width: number;
   readonly height: number;
   /** From the stated primaries to Rec. 709. */
-  readonly matrix: Matrix | null;
+  readonly matrix: Matrix3 | null;
 };
 
 /** The attributes of the first part with red, green and blue, or else of the first: where the value of each lies. */
@@ -33,7 +34,7 @@ export type Stated = {
 
 const deep = 8;
 
-/** Return the fault of a file that is no whole OpenEXR picture. */
+/** Return the fault of a file that is not a complete OpenEXR picture. */
 export function damaged(): MapFault {
   return new MapFault("environment.exr_damaged", mapFaults.exrDamaged);
 }

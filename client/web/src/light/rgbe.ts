@@ -4,9 +4,10 @@
  * A pixel (r, g, b, e) means (r, g, b) 2^(e - 136); e = 0 is black.
  */
 
+import type { Matrix3 } from "three";
 import type { EnvironmentMap } from "../engine/environmentMap.js";
 import { MapFault, tooLarge } from "../page/fault.js";
-import { type Matrix, rec709Matrix, toRec709 } from "./primaries.js";
+import { rec709Matrix, toRec709 } from "./primaries.js";
 import { DamagedLines, decodeLines } from "./rgbeRows.js";
 import { fillIn, mapFaults } from "../words/words.js";
 
@@ -68,7 +69,7 @@ type RgbeHeader = {
   /** What stored values must be divided by. */
   readonly scale: readonly number[];
   /** From the stated primaries to Rec. 709. */
-  readonly matrix: Matrix | null;
+  readonly matrix: Matrix3 | null;
 };
 
 function readHeader(data: Uint8Array): RgbeHeader {
@@ -79,7 +80,7 @@ function readHeader(data: Uint8Array): RgbeHeader {
   const stop = text.indexOf("\n\n");
   if (stop < 0) throw damaged(mapFaults.hdrNoEnd);
   const scale = [1, 1, 1];
-  let matrix: Matrix | null = null;
+  let matrix: Matrix3 | null = null;
   for (const line of text.slice(0, stop).split("\n").slice(1)) {
     const [key = "", value = ""] = line.split("=", 2).map((part) => part.trim());
     if (key === "FORMAT" && value !== "32-bit_rle_rgbe") {

@@ -132,7 +132,7 @@ export class RestMaskBackend implements MaskBackend {
     );
     this.#shown = after;
     if (this.#mine.delete(before.job.id)) {
-      // Nobody comes back to it; a job that cannot be removed yet is no fault of the visitor.
+      // It is not used again; if it cannot be removed yet, the visitor need not know.
       await this.api.deleteJob(before.job.id).catch(() => {});
     }
     this.#mine.add(job.id);

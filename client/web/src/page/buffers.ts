@@ -13,8 +13,8 @@ export async function sha256Hex(data: Uint8Array<ArrayBuffer>): Promise<string> 
 }
 
 /**
- * Return `numBytes` of deflated bytes, unpacked by the browser, and the length of what was read: more, where that was found before the end.
- * Null for damaged bytes.
+ * Return `numBytes` of deflated bytes, unpacked by the browser, and the length of what was read: more, where that was
+ * found before the end. Null for damaged bytes.
  */
 export async function inflated(
   packed: Uint8Array<ArrayBuffer>,

@@ -1,4 +1,4 @@
-/** Deleting with a way back: for some seconds what was deleted is only hidden, and the server is told after that. */
+/** Deleting with a way back: for some seconds what was deleted is only hidden, and the server deletes it after that. */
 
 import { explain } from "./actions.js";
 import { h } from "./dom.js";
@@ -26,7 +26,7 @@ export class Removals {
   readonly #sent = new Set<string>();
   readonly #listeners = new Set<() => void>();
 
-  /** `fail` is told why the server refused. */
+  /** `fail` receives the server's refusal. */
   constructor(
     private readonly fail: (error: unknown) => void,
     private readonly delayMs = undoMs,
@@ -78,7 +78,7 @@ export class Removals {
       await waiting.removal.send(keepalive);
       waiting.removal.gone?.();
     } catch (error) {
-      // What somebody else has deleted meanwhile is gone as well.
+      // What another user has deleted meanwhile is gone as well.
       if (error instanceof Refused && error.status === 404) waiting.removal.gone?.();
       else {
         this.#sent.delete(id);
@@ -106,7 +106,7 @@ export function removalNotices(removals: Removals): HTMLElement {
       const had = notice.contains(document.activeElement);
       notice.remove();
       shown.delete(id);
-      // The focus was on what is gone; it goes on at the top of the view.
+      // The focus was on what is gone; it continues at the top of the view.
       if (had) document.querySelector<HTMLElement>("#main h1")?.focus();
     }
     for (const { id, what } of removals.waiting) {
