@@ -382,9 +382,7 @@ export class Viewer {
         this.#refinement.changed();
         this.#refinement.rest();
       })
-      .catch((error: unknown) =>
-        this.#tell("message", fillIn(texts.refine.failed, { why: String(error) }), true),
-      );
+      .catch((why) => this.#tell("message", fillIn(texts.refine.failed, { why }), true));
   }
 
   #refineView() {
