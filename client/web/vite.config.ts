@@ -3,8 +3,8 @@ import { resolve } from "node:path";
 import { defineConfig } from "vite";
 import { pageWords } from "./scripts/pageWords.js";
 import { precompress } from "./scripts/precompress.js";
-import * as de from "./src/words/de.js";
-import * as en from "./src/words/en.js";
+import de from "./src/words/de.json" with { type: "json" };
+import en from "./src/words/en.json" with { type: "json" };
 
 const here = import.meta.dirname;
 const pages = readdirSync(here).filter((name) => name.endsWith(".html"));

@@ -10,7 +10,7 @@ import { tmpdir } from "node:os";
 import { delimiter, join, resolve } from "node:path";
 import { parseArgs } from "node:util";
 import { chromium } from "playwright-core";
-import { runnerImport } from "vite";
+import english from "../src/words/en.json" with { type: "json" };
 
 const root = resolve(import.meta.dirname, "../../..");
 const { values: given } = parseArgs({
@@ -23,9 +23,7 @@ const { values: given } = parseArgs({
   },
 });
 // The pages' own texts, so that a new wording breaks nothing here.
-const {
-  module: { texts },
-} = await runnerImport(join(root, "client/web/src/words/en.ts"));
+const { texts } = english;
 const sample = join(root, "client/python/lambent/sample");
 const packages = ["worker", "client/python", "server", "proto"];
 const mostBytes = 150_000;
@@ -177,7 +175,10 @@ async function show(page) {
   await page.setViewportSize(wide);
   await page.click("a.button.first");
   await page.waitForURL(/viewer\.html#src=/);
-  await page.waitForFunction((wanted) => document.title.endsWith(wanted), texts.viewer.pageOf(""));
+  await page.waitForFunction(
+    (wanted) => document.title.endsWith(wanted),
+    texts.viewer.pageOf.replace("{name}", ""),
+  );
   const near = { azimuthDeg: 35, elevationDeg: 22, distance: 2.6 };
   await view(page, {
     environment: "preset:sunset",
@@ -220,7 +221,7 @@ try {
     texts.connection.live,
   );
   if (existsSync(archive)) {
-    const trained = `.faint:text("${texts.jobs.preset("").trim()}")`;
+    const trained = `.faint:text("${texts.jobs.preset.replace("{name}", "").trim()}")`;
     await page
       .locator(`li:has(.state:text-is("${texts.states.succeeded}")):has(${trained}) h3 a`)
       .first()

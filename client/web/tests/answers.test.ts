@@ -1,6 +1,6 @@
 import { afterEach, describe, expect, it, vi } from "vitest";
 import { refusal, silence } from "../src/bundle/answers.js";
-import { BundleFault } from "../src/bundle/fault.js";
+import { BundleFault } from "../src/page/fault.js";
 import { openSource } from "../src/bundle/source.js";
 
 const ours = new URL("http://studio:8080/v1/bundles/b1/files/manifest.json");

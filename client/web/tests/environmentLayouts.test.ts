@@ -1,7 +1,7 @@
 import { readFileSync } from "node:fs";
 import { describe, expect, it } from "vitest";
 import type { Direction } from "../src/engine/environment.js";
-import { MapFault } from "../src/light/fault.js";
+import { MapFault } from "../src/page/fault.js";
 import { type Layout, layoutOfSize, toLatLong } from "../src/light/layouts.js";
 import { openEnvironment } from "../src/light/open.js";
 import { rec709Matrix, toRec709 } from "../src/light/primaries.js";
@@ -104,7 +104,8 @@ describe("primaries", () => {
     const expected = [3.2406, -1.5372, -0.4986, -0.9689, 1.8758, 0.0415, 0.0557, -0.204, 1.057];
     expect(
       found
-        .flat()
+        .transpose()
+        .toArray()
         .map((value, at) => Math.abs(value - expected[at]!))
         .every((off) => off < 1e-3),
     ).toBe(true);

@@ -6,7 +6,7 @@ import { explain } from "../src/page/actions.js";
 import { bundleAt, jobAddress, placeOf, sceneAddress, viewerAddress } from "../src/page/addresses.js";
 import { formatAbout, formatDuration, formatSize } from "../src/page/format.js";
 import { createApi, Refused, requireOk, type SceneReport, Unreachable } from "../src/page/rest.js";
-import { openShare } from "../src/share/open.js";
+import { openShare } from "../src/share/link.js";
 
 describe("addresses", () => {
   it("lead back to what they were made of", () => {

@@ -10,7 +10,8 @@ import {
   strokeOf,
 } from "../src/masks/corrections.js";
 import { agreementText, appliedText } from "../src/masks/editor.js";
-import { badge, doubtfulFirst, inLines } from "../src/masks/grid.js";
+import { badge, doubtfulFirst } from "../src/masks/grid.js";
+import { inLines } from "../src/page/rest.js";
 import { keyOf, localBackend } from "../src/masks/localBackend.js";
 import { overlay } from "../src/masks/paint.js";
 import { afterKey, brushShare, type Tools } from "../src/masks/tools.js";
@@ -190,6 +191,7 @@ describe("the grid", () => {
   it("asks for a few at a time", async () => {
     let [now, most, all] = [0, 0, 0];
     await inLines(
+      6,
       Array.from({ length: 40 }, (_, number) => number),
       async () => {
         now += 1;

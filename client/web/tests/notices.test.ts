@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { noticeText } from "../src/jobs/notices.js";
+import { noticeText } from "../src/jobs/header.js";
 import { texts } from "../src/words/words.js";
 
 const told = (message: string) => ({ since: "2026-01-01T00:00:00.000Z", message });

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { adaptedNote } from "../src/bundle/adapted.js";
+import { adaptedNote } from "../src/bundle/load.js";
 import { NearestPoint } from "../src/refine/nearestPoint.js";
 import { mostPixels, mostPoints, planOf } from "../src/refine/plan.js";
 import { Randoms } from "../src/refine/randoms.js";

@@ -1,6 +1,6 @@
 import { createHash } from "node:crypto";
 import { describe, expect, it } from "vitest";
-import { sha256Hex } from "../src/bundle/sha256.js";
+import { sha256Hex } from "../src/page/buffers.js";
 import { droppedEntries, filesIn } from "../src/page/files.js";
 import { type FileUpload, Refused, type Scene, Unreachable } from "../src/page/rest.js";
 import { type Candidate, collect, NotAScene } from "../src/upload/collect.js";

@@ -1,13 +1,15 @@
+import { readdirSync, readFileSync } from "node:fs";
+import { join } from "node:path";
 import { afterEach, describe, expect, it, vi } from "vitest";
 import { verdicts } from "../src/jobs/verdicts.js";
 import { withWords } from "../scripts/pageWords.js";
 import { openSource } from "../src/bundle/source.js";
 import { formatAbout, formatList, formatNumber, formatPercent, formatSize } from "../src/page/format.js";
-import { counted } from "../src/words/counted.js";
-import * as de from "../src/words/de.js";
-import * as en from "../src/words/en.js";
+import { misfilled, placesOf } from "./support/messages.js";
+import de from "../src/words/de.json";
+import en from "../src/words/en.json";
+import { fillIn, languageOfPage, locale, named, speak, speakAsBrowser, texts } from "../src/words/words.js";
 import { chosen, languageOf, languages } from "../src/words/languages.js";
-import { languageOfPage, locale, named, speak, speakAsBrowser, texts } from "../src/words/words.js";
 
 afterEach(async () => {
   vi.unstubAllGlobals();
@@ -50,13 +52,13 @@ describe("the language", () => {
 
   it("is English where the other catalogue cannot be fetched, with numbers to go with it", async () => {
     vi.resetModules();
-    vi.doMock("../src/words/de.js", () => {
+    vi.doMock("../src/words/de.json", () => {
       throw new Error("offline");
     });
     const words = await import("../src/words/words.js");
     await words.speak("de-AT");
     expect([words.texts.panel.light, words.locale]).toEqual(["Light", "en"]);
-    vi.doUnmock("../src/words/de.js");
+    vi.doUnmock("../src/words/de.json");
     vi.resetModules();
   });
 
@@ -70,24 +72,26 @@ describe("the language", () => {
 
 describe("counts", () => {
   it("leave what a name has in it as it is", () => {
-    expect(en.texts.link.lacks(1, "studio#2.hdr")).toContain("studio#2.hdr");
+    const what = "studio{n}$1.hdr";
+    expect(fillIn(en.texts.link.lacks, { n: 1, what })).toContain(what);
   });
 
-  it("have the form of their language", () => {
-    expect([0, 1, 2, 12345].map(en.texts.page.files)).toEqual([
-      ...["0 files", "1 file", "2 files", "12,345 files"],
-    ]);
-    expect([0, 1, 2, 12345].map(de.texts.page.files)).toEqual([
-      ...["0 Dateien", "1 Datei", "2 Dateien", "12.345 Dateien"],
-    ]);
+  it("have the form of their language", async () => {
+    const told = () => [0, 1, 2, 12345].map((n) => fillIn(texts.page.files, { n }));
+    expect(told()).toEqual(["0 files", "1 file", "2 files", "12,345 files"]);
+    await speak("de-AT");
+    expect(told()).toEqual(["0 Dateien", "1 Datei", "2 Dateien", "12.345 Dateien"]);
   });
 
-  it("have more than two forms where a language has", () => {
+  it("have more than two forms where a language has", async () => {
+    vi.resetModules();
+    vi.doMock("../src/words/languages.js", () => ({ language: "pl", spoken: () => ({}) }));
+    const polish = (await import("../src/words/words.js")).fillIn;
+    vi.doUnmock("../src/words/languages.js");
     const forms = { one: "{n} plik", few: "{n} pliki", many: "{n} plików", other: "{n} pliku" };
-    expect([1, 2, 5, 22].map((count) => counted("pl", count, forms))).toEqual([
-      ...["1 plik", "2 pliki", "5 plików", "22 pliki"],
-    ]);
-    expect(counted("pl", 5, { other: "{n} rzeczy" })).toBe("5 rzeczy");
+    const told = [1, 2, 5, 22].map((n) => polish(forms, { n }));
+    expect(told).toEqual(["1 plik", "2 pliki", "5 plików", "22 pliki"]);
+    expect(polish({ other: "{n} rzeczy" }, { n: 5 })).toBe("5 rzeczy");
   });
 });
 
@@ -121,30 +125,52 @@ describe("a code", () => {
 });
 
 describe("catalogues", () => {
-  type Leaf = { readonly path: string; readonly value: unknown };
-  const leaves = (value: unknown, path = ""): Leaf[] =>
-    typeof value === "object" && value !== null
-      ? Object.entries(value).flatMap(([key, each]) => leaves(each, `${path}.${key}`))
-      : [{ path, value }];
-  /** What a text says; functions are given numbers that can be told apart. */
-  const said = ({ value }: Leaf): string => {
-    if (typeof value !== "function") return String(value);
-    const given = Array.from({ length: value.length }, (_, index) => 101 + index);
-    return [(value as (...values: unknown[]) => unknown)(...given)].flat().join("; ");
-  };
+  const leaves = (value: object, path = ""): [path: string, text: string][] =>
+    Object.entries(value).flatMap(([key, each]) =>
+      typeof each === "string" ? [[`${path}.${key}`, each]] : leaves(each, `${path}.${key}`),
+    );
 
-  it("say everything, with all that is given to them", () => {
-    const english = leaves(en);
+  it("say everything, with places for the same values", () => {
+    const [english, german] = [leaves(en), new Map(leaves(de))];
     expect(english.length).toBeGreaterThan(450);
-    const german = new Map(leaves(de).map((leaf) => [leaf.path, leaf]));
-    for (const leaf of english) {
-      const other = german.get(leaf.path);
-      expect(other, leaf.path).toBeDefined();
-      const numbers = (text: string) => text.match(/10\d/g)?.sort();
-      expect([leaf.path, numbers(said(other!))]).toEqual([leaf.path, numbers(said(leaf))]);
-      expect([leaf.path, said(other!).trim()]).not.toEqual([leaf.path, ""]);
+    for (const [path, text] of english) {
+      const other = german.get(path) ?? "";
+      expect([path, other.trim()]).not.toEqual([path, ""]);
+      expect([path, placesOf(other)]).toEqual([path, placesOf(text)]);
     }
     expect(german.size).toBe(english.length);
+  });
+
+  it("get the values that their messages have places for", () => {
+    const src = join(import.meta.dirname, "../src");
+    const modules = readdirSync(src, { recursive: true, encoding: "utf8" }).filter(
+      (path) => path.endsWith(".ts") && !path.startsWith("words/"),
+    );
+    const wrong = modules.flatMap((path) =>
+      misfilled(readFileSync(join(src, path), "utf8")).map((each) => `${path}: ${each}`),
+    );
+    expect(wrong).toEqual([]);
+  });
+
+  it.each([
+    "say(texts.page.deleted);",
+    "say(fillIn(texts.page.deleted, { who: name }));",
+    "say(fillIn(texts.page.notDeleted, { what }));",
+    "say(fillIn(texts.page.undo, { what }));",
+    "say(fillIn(texts.page.files, { number }));",
+    "say(fillIn(texts.page.of, { part, whole: texts.page.deleted }));",
+    "const { deleted } = texts.page;",
+  ])("do not get them in %s", (source) => {
+    expect(misfilled(source)).toHaveLength(1);
+  });
+
+  it.each([
+    "say(fillIn(texts.page.notDeleted, { what, why: texts.page.undo }));",
+    "say(fillIn(many ? texts.page.files : texts.upload.known, { n: 5 }));",
+    "say(fillIn(texts.verdicts.pictures[name], { truth }));",
+    "say(named(texts.states, name));",
+  ])("get them in %s", (source) => {
+    expect(misfilled(source)).toEqual([]);
   });
 
   it("fill pages for browsers without scripts", () => {

@@ -1,11 +1,12 @@
 /** Reads bundles in a worker: fetching, digests and packing do not block the main thread. */
 
 import { transferablesOf } from "../page/buffers.js";
-import { bundleTold } from "./fault.js";
+import { toldOf } from "../page/fault.js";
 import { type BundleNews, type LoadedBundle, loadBundle } from "./load.js";
 import type { BundleOrigin } from "./source.js";
 import type { FinerTables } from "./transport.js";
 import { workerSpeaks } from "../words/languages.js";
+import { bundleFaults } from "../words/words.js";
 
 /** Messages of the worker; the last one is "failed", "finer", or "loaded" where there is no `more`. */
 export type BundleAnswer =
@@ -41,6 +42,6 @@ self.onmessage = async ({ data }: MessageEvent<BundleOrigin>) => {
       answer({ kind: "finer", tables }, transferablesOf(tables));
     }
   } catch (error) {
-    answer({ kind: "failed", ...bundleTold(error) });
+    answer({ kind: "failed", ...toldOf(error, "bundle", bundleFaults.memory) });
   }
 };

@@ -1,7 +1,7 @@
 /** The cameras of cameras.json: those the object was photographed from. */
 
-import { exportAgain } from "./fault.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { exportAgain } from "../page/fault.js";
+import { bundleFaults } from "../words/words.js";
 
 /** A pinhole camera; axes x right, y up, looking along -z; pixels from the top left corner. */
 export type PhotoCamera = {

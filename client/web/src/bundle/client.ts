@@ -2,13 +2,12 @@
 
 import { startWorker } from "../page/workers.js";
 import workerUrl from "./bundleWorker.ts?worker&url";
-import { BundleFault } from "./fault.js";
+import { BundleFault } from "../page/fault.js";
 import type { BundleAnswer } from "./bundleWorker.js";
-import type { BundleNews, ShownBundle } from "./load.js";
-import { closePictures } from "./pictures.js";
+import { type BundleNews, closePictures, type ShownBundle } from "./load.js";
 import type { BundleOrigin } from "./source.js";
 import type { FinerTables } from "./transport.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { bundleFaults } from "../words/words.js";
 
 /** Read a bundle in a worker that exits when all is there; `signal` aborts it. Throws BundleFault. */
 export function loadInWorker(
@@ -31,7 +30,8 @@ export function loadInWorker(
     };
     signal.addEventListener("abort", () => fail(signal.reason));
     worker.onerror = (event) => {
-      fail(new BundleFault("bundle.failed", event.message || bundleFaults.reader, bundleFaults.reload));
+      const what = event.message || bundleFaults.reader;
+      fail(new BundleFault("bundle.failed", { what, advice: bundleFaults.reload }));
     };
     worker.onmessage = ({ data }: MessageEvent<BundleAnswer>) => {
       if (data.kind === "loaded") {
@@ -41,14 +41,14 @@ export function loadInWorker(
         worker.terminate();
         resolveFiner(data.tables);
       } else if (data.kind === "failed") {
-        fail(Object.assign(new BundleFault(data.code, "", ""), { message: data.message }));
+        fail(Object.assign(new BundleFault(data.code, { what: "", advice: "" }), { message: data.message }));
       } else tell(data);
     };
     worker.postMessage(origin);
   });
 }
 
-/** Read a bundle while `other` work goes on, of which it is nothing without; see `loadInWorker`. */
+/** Read a bundle during `other` work, without which it is useless; see `loadInWorker`. */
 export async function loadBeside(
   other: Promise<void>,
   ...[origin, tell, signal]: Parameters<typeof loadInWorker>

@@ -1,15 +1,14 @@
 /** Reads and checks the parts of a bundle that a viewer needs. */
 
 import type { Atlas, BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
-import { adaptedNote } from "./adapted.js";
 import { type PhotoCamera, parseCameras } from "./cameras.js";
-import { BundleFault, exportAgain } from "./fault.js";
+import { BundleFault, exportAgain } from "../page/fault.js";
 import { openBundle } from "./manifest.js";
 import { type AtlasMesh, boundsOf, meshFromGlb, texturesFromGlb } from "./mesh.js";
 import { type BundleOrigin, openSource } from "./source.js";
 import { type FinerTables, finerTables, type PackedTransport, readTransport } from "./transport.js";
 import { readUncertainty, type UncertaintyGrid } from "./uncertainty.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** A file of the bundle, as it is. */
 export type BundlePicture = { readonly name: string; readonly data: Uint8Array<ArrayBuffer> };
@@ -80,7 +79,7 @@ export async function loadBundle(
   const { manifest, read, begin } = await openBundle(await openSource(origin));
   const stated = manifest.transport;
   if (stated === undefined) {
-    throw new BundleFault("bundle.transport_missing", ...bundleFaults.noTransport());
+    throw new BundleFault("bundle.transport_missing", bundleFaults.noTransport);
   }
   // A manifest with transport has been checked for it.
   const atlas = manifest.atlas!;
@@ -147,19 +146,22 @@ export async function loadBundle(
   if (wholes.size > 0) later?.(() => finerTables(stated, all));
   const { name, sceneId, preset, albedoScaleRgb, metrics, trainLights } = manifest;
   return {
-    ...{ name, sceneId, preset, albedoScaleRgb, metrics, trainLights },
+    name,
+    sceneId,
+    preset,
+    albedoScaleRgb,
+    metrics,
+    trainLights,
     adaptedNote: adaptedNote(manifest),
-    ...{
-      ...boundsOf(mesh.positionsXyz),
-      mesh,
-      maps,
-      unseen,
-      transport,
-      uncertainty: grid,
-      cameras,
-      trainedMaps,
-      previews,
-    },
+    ...boundsOf(mesh.positionsXyz),
+    mesh,
+    maps,
+    unseen,
+    transport,
+    uncertainty: grid,
+    cameras,
+    trainedMaps,
+    previews,
   };
 }
 
@@ -182,7 +184,7 @@ async function mapsOf(glb: Uint8Array<ArrayBuffer>, atlas: Atlas, decode: Decode
     if (width !== stated || height !== stated) {
       throw exportAgain(
         "bundle.mesh_invalid",
-        bundleFaults.mesh(bundleFaults.textureSize(width, height, stated)),
+        fillIn(bundleFaults.mesh, { what: fillIn(bundleFaults.textureSize, { width, height, stated }) }),
       );
     }
   }
@@ -194,6 +196,25 @@ async function mapsOf(glb: Uint8Array<ArrayBuffer>, atlas: Atlas, decode: Decode
     ]);
     return { albedo, packed, normal };
   } catch {
-    throw exportAgain("bundle.mesh_invalid", bundleFaults.mesh(bundleFaults.textureDamaged));
+    throw exportAgain(
+      "bundle.mesh_invalid",
+      fillIn(bundleFaults.mesh, { what: bundleFaults.textureDamaged }),
+    );
   }
+}
+
+/**
+ * Return the note about fast caches that were adapted to one light, empty if there are none: Python's `refined` may take
+ * their radiance, refining here does not.
+ */
+export function adaptedNote({ graphs, trainLights }: Pick<BundleManifest, "graphs" | "trainLights">): string {
+  const adapted = graphs.filter(({ name, light }) => name === "fast_cache" && !trainLights.includes(light));
+  if (adapted.length === 0) return "";
+  const names = adapted.map(({ light }) => light.slice(0, 40)).join(", ");
+  return fillIn(bundleFaults.adapted, { lights: names });
+}
+
+/** Give back the memory of a bundle's pictures: browsers do that late by themselves, and seldom know how much it is. */
+export function closePictures({ maps, unseen }: Pick<LoadedBundle, "maps" | "unseen">): void {
+  for (const each of [maps.albedo, maps.packed, maps.normal, unseen]) each?.close();
 }

@@ -2,10 +2,10 @@
 
 import { fromJsonString } from "@bufbuild/protobuf";
 import { type BundleManifest, BundleManifestSchema } from "../contract/lambent_proto/v1/bundle_pb.js";
-import { BundleFault, exportAgain, fetchAgain, unsafe } from "./fault.js";
-import { sha256Hex } from "./sha256.js";
+import { BundleFault, exportAgain, fetchAgain, unsafe } from "../page/fault.js";
+import { sha256Hex } from "../page/buffers.js";
 import type { FileSource } from "./source.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** The version of the format that is read. */
 const formatVersion = "1";
@@ -51,13 +51,14 @@ export async function openBundle(source: FileSource): Promise<OpenBundle> {
   const files = new Map(manifest.files.map((file) => [file.path, file]));
   const listed = (path: string) => {
     const stated = files.get(path);
-    if (stated === undefined) throw exportAgain("bundle.file_missing", bundleFaults.unlisted(path));
+    if (stated === undefined)
+      throw exportAgain("bundle.file_missing", fillIn(bundleFaults.unlisted, { path }));
     return stated;
   };
   const checked = async (path: string, data: Uint8Array<ArrayBuffer>) => {
     const { sizeBytes, sha256 } = listed(path);
     if (data.length === sizeBytes && (await sha256Hex(data)) === sha256) return data;
-    throw fetchAgain("bundle.digest_mismatch", bundleFaults.otherFile(path));
+    throw fetchAgain("bundle.digest_mismatch", fillIn(bundleFaults.otherFile, { path }));
   };
   const read = async (path: string): Promise<Uint8Array<ArrayBuffer>> => {
     listed(path);
@@ -87,7 +88,7 @@ function parseManifest(data: Uint8Array): BundleManifest {
     return fromJsonString(BundleManifestSchema, text, { ignoreUnknownFields: true });
   } catch (error) {
     const reason = error instanceof Error ? error.message.split("\n")[0]!.slice(0, 200) : bundleFaults.noText;
-    throw fetchAgain("bundle.manifest_unreadable", bundleFaults.manifestUnreadable(reason));
+    throw fetchAgain("bundle.manifest_unreadable", fillIn(bundleFaults.manifestUnreadable, { reason }));
   }
 }
 
@@ -95,7 +96,10 @@ function checkVersion(manifest: BundleManifest): void {
   if (manifest.schemaVersion !== formatVersion) {
     throw new BundleFault(
       "bundle.version_unknown",
-      ...bundleFaults.unknownVersion(manifest.schemaVersion.slice(0, 32), formatVersion),
+      fillIn(bundleFaults.unknownVersion, {
+        version: manifest.schemaVersion.slice(0, 32),
+        known: formatVersion,
+      }),
     );
   }
 }
@@ -105,14 +109,14 @@ export function checkPath(path: string): void {
   const parts = path.split("/");
   const plain = parts.every((part) => part !== "" && part !== "." && part !== "..");
   if (!plain || /[\\:\0]/.test(path) || path.length > 1024) {
-    throw unsafe("bundle.path_unsafe", bundleFaults.leavesBundle(path.slice(0, 200)));
+    throw unsafe("bundle.path_unsafe", fillIn(bundleFaults.leavesBundle, { path: path.slice(0, 200) }));
   }
 }
 
 function checkFiles(manifest: BundleManifest, present: ReadonlySet<string> | null): void {
   const stated = new Set(manifest.files.map((file) => file.path));
   if (manifest.files.length > 4096) {
-    throw unsafe("bundle.too_many_files", bundleFaults.tooManyFiles(4096));
+    throw unsafe("bundle.too_many_files", fillIn(bundleFaults.tooManyFiles, { most: 4096 }));
   }
   for (const path of stated) checkPath(path);
   if (stated.size !== manifest.files.length)
@@ -122,12 +126,15 @@ function checkFiles(manifest: BundleManifest, present: ReadonlySet<string> | nul
   const missing = [...stated].filter((path) => !present.has(path));
   const extra = [...present].filter((path) => path !== "manifest.json" && !stated.has(path));
   if (missing.length > 0) {
-    throw fetchAgain("bundle.file_missing", bundleFaults.filesMissing(missing.slice(0, 4).join(", ")));
+    throw fetchAgain(
+      "bundle.file_missing",
+      fillIn(bundleFaults.filesMissing, { paths: missing.slice(0, 4).join(", ") }),
+    );
   }
   if (extra.length > 0) {
     throw new BundleFault(
       "bundle.file_unlisted",
-      ...bundleFaults.filesUnlisted(extra.slice(0, 4).join(", ")),
+      fillIn(bundleFaults.filesUnlisted, { paths: extra.slice(0, 4).join(", ") }),
     );
   }
 }
@@ -138,7 +145,7 @@ function checkValues(manifest: BundleManifest): void {
     if (found !== expected) {
       throw new BundleFault(
         "bundle.convention_unknown",
-        ...bundleFaults.convention(name, found.slice(0, 64), expected),
+        fillIn(bundleFaults.convention, { name, found: found.slice(0, 64), expected }),
       );
     }
   }
@@ -154,6 +161,6 @@ function checkValues(manifest: BundleManifest): void {
   const { size = 0, materialSize = 0, texelSize = 0 } = manifest.atlas ?? {};
   const sizes = [size, materialSize].every((texels) => texels >= 1 && texels <= maxAtlasSize);
   if (manifest.transport !== undefined && !(sizes && texelSize > 0 && Number.isFinite(texelSize))) {
-    throw exportAgain("bundle.manifest_invalid", bundleFaults.atlas(maxAtlasSize));
+    throw exportAgain("bundle.manifest_invalid", fillIn(bundleFaults.atlas, { most: maxAtlasSize }));
   }
 }

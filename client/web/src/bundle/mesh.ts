@@ -1,8 +1,8 @@
 /** The surface of a bundle, read from its mesh/asset.glb, as `lambent_relight.baked.mesh` does. */
 
-import { type BundleFault, exportAgain } from "./fault.js";
+import { type BundleFault, exportAgain } from "../page/fault.js";
 import { maxAtlasSize } from "./manifest.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** Triangles with a place in the atlas; positions are the world's, z up. */
 export type AtlasMesh = {
@@ -24,7 +24,7 @@ const components: Readonly<Record<string, number>> = { SCALAR: 1, VEC2: 2, VEC3:
 const itemBytes: Readonly<Record<number, 1 | 2 | 4>> = { 5121: 1, 5123: 2, 5125: 4, 5126: 4 };
 
 function invalid(what: string): BundleFault {
-  return exportAgain("bundle.mesh_invalid", bundleFaults.mesh(what));
+  return exportAgain("bundle.mesh_invalid", fillIn(bundleFaults.mesh, { what }));
 }
 
 /** Return the first primitive of a binary glTF file; throws BundleFault for one that cannot be used. */
@@ -116,7 +116,7 @@ function sizedPng(data: Uint8Array<ArrayBuffer>): PngFile {
   const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
   const [width, height] = [view.getUint32(16), view.getUint32(20)];
   if (Math.max(width, height) > maxAtlasSize)
-    throw invalid(bundleFaults.textureTooLarge(width, height, maxAtlasSize));
+    throw invalid(fillIn(bundleFaults.textureTooLarge, { width, height, most: maxAtlasSize }));
   return { data, width, height };
 }
 

@@ -1,9 +1,9 @@
 /** Sources of a bundle's files: a web folder, our server, a zip archive, dropped files. */
 
 import { refusal, silence } from "./answers.js";
-import { BundleFault, fetchAgain, unsafe } from "./fault.js";
+import { BundleFault, fetchAgain, unsafe } from "../page/fault.js";
 import { ZipArchive, type RangeReader } from "./zip.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 type Bytes = Uint8Array<ArrayBuffer>;
 
@@ -43,7 +43,7 @@ export async function openSource(origin: BundleOrigin): Promise<FileSource> {
 }
 
 function tooLarge(path: string, limitBytes: number): BundleFault {
-  return unsafe("bundle.too_large", bundleFaults.tooLarge(path, limitBytes));
+  return unsafe("bundle.too_large", fillIn(bundleFaults.tooLarge, { path, bytes: limitBytes }));
 }
 
 /** Return the secret of a share link behind an address, or null; it goes to our server's files only, in a header. */
@@ -150,7 +150,10 @@ async function remoteArchive(url: URL): Promise<FileSource> {
       if (length === 0) return new Uint8Array(0);
       const response = await request(url, { range: `bytes=${start}-${start + length - 1}` });
       if (response.status !== 206) {
-        throw new BundleFault("bundle.archive_damaged", ...bundleFaults.rangesEnded(url.href));
+        throw new BundleFault(
+          "bundle.archive_damaged",
+          fillIn(bundleFaults.rangesEnded, { address: url.href }),
+        );
       }
       return new Uint8Array(await response.arrayBuffer());
     };
@@ -158,7 +161,7 @@ async function remoteArchive(url: URL): Promise<FileSource> {
   }
   if (!probe.ok) {
     if (probe.status !== 404) throw refusal(probe.status, url.pathname, url);
-    throw new BundleFault("bundle.missing", ...bundleFaults.nothingAt(url.href));
+    throw new BundleFault("bundle.missing", fillIn(bundleFaults.nothingAt, { address: url.href }));
   }
   return zipSource(await ZipArchive.ofFile(await probe.blob()));
 }
@@ -176,8 +179,9 @@ function zipSource(archive: ZipArchive): FileSource {
 }
 
 function missing(path: string): BundleFault {
-  if (path !== "manifest.json") return fetchAgain("bundle.file_missing", bundleFaults.missing(path));
-  return new BundleFault("bundle.manifest_missing", ...bundleFaults.manifestMissing());
+  if (path !== "manifest.json")
+    return fetchAgain("bundle.file_missing", fillIn(bundleFaults.missing, { path }));
+  return new BundleFault("bundle.manifest_missing", bundleFaults.manifestMissing);
 }
 
 /** Files of a folder that was dropped; the folder that holds manifest.json is the bundle. */

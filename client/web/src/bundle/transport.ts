@@ -7,10 +7,10 @@
  */
 
 import type { Transport, TransportPlanes } from "../contract/lambent_proto/v1/bundle_pb.js";
-import { type BundleFault, exportAgain } from "./fault.js";
+import { type BundleFault, exportAgain } from "../page/fault.js";
 import { maxAtlasSize } from "./manifest.js";
 import { blocksAround, spreadTexels } from "./texels.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** Columns of all tables. */
 export const tableWidth = 1024;
@@ -69,7 +69,7 @@ const sets = {
 export type FinerTables = { readonly [name in "direct" | "visibility"]: Int8Array<ArrayBuffer> };
 
 function invalid(what: string): BundleFault {
-  return exportAgain("bundle.transport_invalid", bundleFaults.transport(what));
+  return exportAgain("bundle.transport_invalid", fillIn(bundleFaults.transport, { what }));
 }
 
 /** Return the number of rows of a table of `count` texels. */
@@ -93,11 +93,11 @@ export async function finerTables(stated: Transport, read: Reader): Promise<Fine
  */
 export async function readTransport(stated: Transport, read: HeadReader): Promise<PackedTransport> {
   const { size } = stated;
-  if (!(size >= 1 && size <= maxAtlasSize)) throw invalid(bundleFaults.atlasSize(size));
+  if (!(size >= 1 && size <= maxAtlasSize)) throw invalid(fillIn(bundleFaults.atlasSize, { size }));
   const texelIndex = coveredTexels(await read(stated.texelsPath, Infinity), size);
   const numTexels = texelIndex.length;
   if (numTexels !== stated.numTexels || numTexels === 0) {
-    throw invalid(bundleFaults.covers(numTexels, stated.numTexels));
+    throw invalid(fillIn(bundleFaults.covers, { found: numTexels, stated: stated.numTexels }));
   }
   const { numCoarse, coarseOfTexel } = coarseTexels(texelIndex, size);
   const load = async (name: "direct" | "visibility" | "indirect"): Promise<PlaneTable> => {
@@ -115,7 +115,7 @@ export async function readTransport(stated: Transport, read: HeadReader): Promis
   ]);
   if (indirect.bands > direct.bands) throw invalid(bundleFaults.moreIndirect);
   if (stated.shadowBitsPath !== "" && stated.numShadowDirections !== numShadowDirections) {
-    throw invalid(bundleFaults.shadowDirections(stated.numShadowDirections));
+    throw invalid(fillIn(bundleFaults.shadowDirections, { number: stated.numShadowDirections }));
   }
   const texelPlane = spreadTexels(texelIndex, size);
   return {
@@ -150,10 +150,10 @@ export async function forHits(
 /** Return what a manifest states of planes, checked. */
 function statedPlanes(stated: Transport, name: keyof typeof sets): TransportPlanes {
   const planes = stated.planes.find((each) => each.name === name);
-  if (planes === undefined) throw invalid(bundleFaults.noPlanes(name));
+  if (planes === undefined) throw invalid(fillIn(bundleFaults.noPlanes, { name }));
   const [channels, most] = sets[name];
   if (planes.channels !== channels || !(planes.bands >= 1 && planes.bands <= most)) {
-    throw invalid(bundleFaults.planes(name, planes.bands, planes.channels));
+    throw invalid(fillIn(bundleFaults.planes, { name, bands: planes.bands, channels: planes.channels }));
   }
   return planes;
 }
@@ -161,7 +161,7 @@ function statedPlanes(stated: Transport, name: keyof typeof sets): TransportPlan
 /** Return the places of covered texels, rising, from one bit per place, lowest first. */
 function coveredTexels(mask: Uint8Array, size: number): Uint32Array {
   if (mask.length !== Math.ceil((size * size) / 8)) {
-    throw invalid(bundleFaults.maskBytes(mask.length, size));
+    throw invalid(fillIn(bundleFaults.maskBytes, { bytes: mask.length, size }));
   }
   const found = new Uint32Array(size * size);
   let count = 0;
@@ -201,19 +201,22 @@ function packPlanes(
   const isThere = data.length === count * numTexels || data.length === head;
   if (stated.scales.length !== count || stated.offsets.length !== count || !isThere) {
     throw invalid(
-      bundleFaults.planeBytes(
-        stated.path.slice(0, 200),
-        ...([data.length, stated.scales.length, count, numTexels] as const),
-      ),
+      fillIn(bundleFaults.planeBytes, {
+        path: stated.path.slice(0, 200),
+        bytes: data.length,
+        scales: stated.scales.length,
+        planes: count,
+        texels: numTexels,
+      }),
     );
   }
   if (![...stated.scales, ...stated.offsets].every(Number.isFinite)) {
-    throw invalid(bundleFaults.scaleNotFinite(stated.path.slice(0, 200)));
+    throw invalid(fillIn(bundleFaults.scaleNotFinite, { path: stated.path.slice(0, 200) }));
   }
   const layers = Math.ceil(count / 4);
   const rows = tableRows(numTexels);
   const steps = new Int8Array(4 * layers * rows * tableWidth);
-  fill(steps, data, stated, numTexels, rows);
+  fillSteps(steps, data, stated, numTexels, rows);
   const scales = new Float32Array(4 * layers);
   const offsets = new Float32Array(4 * layers);
   scales.set(stated.scales);
@@ -222,7 +225,7 @@ function packPlanes(
 }
 
 /** Write planes into a table; those that are not there become about zero. */
-function fill(
+function fillSteps(
   steps: Int8Array,
   data: Uint8Array<ArrayBuffer>,
   { bands, channels, scales, offsets }: TransportPlanes,
@@ -243,7 +246,7 @@ function fill(
 
 function packShadowBits(data: Uint8Array<ArrayBuffer>, numTexels: number): Uint32Array<ArrayBuffer> {
   if (data.length !== (numTexels * numShadowDirections) / 8)
-    throw invalid(bundleFaults.shadowBytes(data.length));
+    throw invalid(fillIn(bundleFaults.shadowBytes, { bytes: data.length }));
   const words = new Uint32Array(data.buffer.slice(data.byteOffset, data.byteOffset + data.length));
   const layer = 4 * tableWidth * tableRows(numTexels);
   const packed = new Uint32Array(2 * layer);

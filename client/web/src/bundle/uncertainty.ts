@@ -1,8 +1,8 @@
 /** The grid of uncertainties, an NPY file of float16, as `lambent_relight.bundle.uncertainty` reads it. */
 
 import type { Uncertainty } from "../contract/lambent_proto/v1/bundle_pb.js";
-import { exportAgain, type BundleFault } from "./fault.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { exportAgain, type BundleFault } from "../page/fault.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** One channel of the grid, x fastest. */
 export type UncertaintyGrid = {
@@ -17,7 +17,7 @@ export type UncertaintyGrid = {
 const magic = [0x93, 0x4e, 0x55, 0x4d, 0x50, 0x59, 1, 0];
 
 function invalid(what: string): BundleFault {
-  return exportAgain("bundle.uncertainty_invalid", bundleFaults.uncertainty(what));
+  return exportAgain("bundle.uncertainty_invalid", fillIn(bundleFaults.uncertainty, { what }));
 }
 
 /** Return the channel "albedo" of the grid in `data`. */
@@ -32,7 +32,7 @@ export function readUncertainty(stated: Uncertainty, data: Uint8Array<ArrayBuffe
   }
   const [x, y, z, channels] = shape as [number, number, number, number];
   if (channels !== stated.channels.length || Math.min(x, y, z) < 1 || Math.max(x, y, z) > 256) {
-    throw invalid(bundleFaults.gridShape(shape.join(" x ")));
+    throw invalid(fillIn(bundleFaults.gridShape, { shape: shape.join(" x ") }));
   }
   if (channel < 0) throw invalid(bundleFaults.noAlbedo);
   if (data.length - start !== 2 * x * y * z * channels) throw invalid(bundleFaults.gridLength);

@@ -1,8 +1,11 @@
-/** Zip archives, read in parts: from a file that was dropped, or by ranges of an address. */
+/**
+ * Zip archives, read in parts: from a file that was dropped, or by ranges of an address. By hand, because the reader of
+ * @zip.js/zip.js weighs 25 KB compressed, in a worker that every viewer loads, and this module 1.7 KB with its faults.
+ */
 
-import { inflated } from "../page/inflate.js";
-import { BundleFault, unsafe } from "./fault.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { inflated } from "../page/buffers.js";
+import { BundleFault, fetchAgain, unsafe } from "../page/fault.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** Some bytes of a file; `start` may be negative, counted from the end. */
 export type RangeReader = (start: number, length: number) => Promise<Uint8Array<ArrayBuffer>>;
@@ -20,7 +23,7 @@ const fileMark = 0x04034b50;
 const maxFiles = 4096;
 
 function damaged(what: string): BundleFault {
-  return new BundleFault("bundle.archive_damaged", bundleFaults.archive(what), bundleFaults.downloadAgain);
+  return fetchAgain("bundle.archive_damaged", fillIn(bundleFaults.archive, { what }));
 }
 
 /** An archive whose directory has been read. */
@@ -52,7 +55,7 @@ export class ZipArchive {
       throw damaged(bundleFaults.largeOrCut);
     }
     if (count > maxFiles) {
-      throw unsafe("bundle.too_many_files", bundleFaults.tooManyFiles(maxFiles));
+      throw unsafe("bundle.too_many_files", fillIn(bundleFaults.tooManyFiles, { most: maxFiles }));
     }
     const directory = await read(start, length);
     return new ZipArchive(parseDirectory(directory, count), read);
@@ -61,18 +64,19 @@ export class ZipArchive {
   /** Return the bytes of a file of the archive. */
   async file(name: string): Promise<Uint8Array<ArrayBuffer>> {
     const entry = this.entries.get(name);
-    if (entry === undefined) throw damaged(bundleFaults.noEntry(name));
+    if (entry === undefined) throw damaged(fillIn(bundleFaults.noEntry, { name }));
     const head = await this.read(entry.offset, 30);
     const view = new DataView(head.buffer, head.byteOffset, head.byteLength);
-    if (head.length < 30 || view.getUint32(0, true) !== fileMark) throw damaged(bundleFaults.damagedAt(name));
+    if (head.length < 30 || view.getUint32(0, true) !== fileMark)
+      throw damaged(fillIn(bundleFaults.damagedAt, { name }));
     const start = entry.offset + 30 + view.getUint16(26, true) + view.getUint16(28, true);
     const packed = await this.read(start, entry.packedBytes);
-    if (packed.length !== entry.packedBytes) throw damaged(bundleFaults.endsIn(name));
+    if (packed.length !== entry.packedBytes) throw damaged(fillIn(bundleFaults.endsIn, { name }));
     if (entry.method === 0) return packed;
     const found = await inflated(packed, "deflate-raw", entry.sizeBytes);
-    if (found === null) throw damaged(bundleFaults.packedAt(name));
-    if (found.length > entry.sizeBytes) throw damaged(bundleFaults.holdsMore(name));
-    if (found.length < entry.sizeBytes) throw damaged(bundleFaults.holdsLess(name));
+    if (found === null) throw damaged(fillIn(bundleFaults.packedAt, { name }));
+    if (found.length > entry.sizeBytes) throw damaged(fillIn(bundleFaults.holdsMore, { name }));
+    if (found.length < entry.sizeBytes) throw damaged(fillIn(bundleFaults.holdsLess, { name }));
     return found.bytes;
   }
 }
@@ -98,12 +102,13 @@ function parseDirectory(directory: Uint8Array, count: number): Map<string, Entry
     };
     place += 46 + nameLength + rest;
     if (name.endsWith("/")) continue;
-    if (flags & 1) throw new BundleFault("bundle.encrypted", ...bundleFaults.encrypted(name));
+    if (flags & 1) throw new BundleFault("bundle.encrypted", fillIn(bundleFaults.encrypted, { name }));
     if (kind !== 0 && kind !== 8) {
-      throw new BundleFault("bundle.not_a_plain_file", ...bundleFaults.notPlain(name));
+      throw new BundleFault("bundle.not_a_plain_file", fillIn(bundleFaults.notPlain, { name }));
     }
-    if (entry.method !== 0 && entry.method !== 8) throw damaged(bundleFaults.unknownPacking(name));
-    if (entries.has(name)) throw damaged(bundleFaults.holdsTwice(name));
+    if (entry.method !== 0 && entry.method !== 8)
+      throw damaged(fillIn(bundleFaults.unknownPacking, { name }));
+    if (entries.has(name)) throw damaged(fillIn(bundleFaults.holdsTwice, { name }));
     entries.set(name, entry);
   }
   return entries;

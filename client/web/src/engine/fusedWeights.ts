@@ -4,10 +4,10 @@
  */
 
 import type { BundleManifest, Grid, GridLevel, TensorEntry } from "../contract/lambent_proto/v1/bundle_pb.js";
-import { exportAgain } from "../bundle/fault.js";
+import { exportAgain } from "../page/fault.js";
 import { halfValue } from "./half.js";
 import { modelMetadata } from "./onnxModel.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /** The bundle's networks are not those that the fused reader knows; the message says why. */
 export class NotFused extends Error {
@@ -80,7 +80,7 @@ export class FusedWeights {
       (level) => (level.resolution - 1) * (1 + level.multiplierY + level.multiplierZ) < 2 ** 32,
     );
     if (stated.levels.length === 0 || !inside || !small || !(stated.halfExtent > 0)) {
-      throw exportAgain("bundle.grid_invalid", bundleFaults.gridRows(name));
+      throw exportAgain("bundle.grid_invalid", fillIn(bundleFaults.gridRows, { name }));
     }
     return { ...stated, table: bytes, halves };
   }
@@ -103,7 +103,7 @@ export class FusedWeights {
     const [offset, end] = [entry.offsetBytes, entry.offsetBytes + size];
     const aligned = Number.isInteger(offset) && offset >= 0 && offset % itemSize === 0;
     if (!aligned || size !== entry.sizeBytes || end > this.data.length) {
-      throw exportAgain("bundle.tensor_invalid", bundleFaults.tensorOutside(name));
+      throw exportAgain("bundle.tensor_invalid", fillIn(bundleFaults.tensorOutside, { name }));
     }
     return { bytes: this.data.subarray(offset, end), shape: entry.shape, halves: itemSize === 2 };
   }

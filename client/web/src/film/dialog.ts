@@ -1,5 +1,6 @@
 /** The dialog that makes films; loaded when it is first opened. */
 
+import { messageOf } from "../page/fault.js";
 import { formatSize } from "../page/format.js";
 import { WorkNews } from "../viewer/dialogs.js";
 import { button, check, choice, type Field, make } from "../viewer/fields.js";
@@ -8,7 +9,7 @@ import type { Viewer } from "../viewer/viewer.js";
 import { codecFor, codecNames } from "./encoder.js";
 import { makeFilm } from "./film.js";
 import { defaultPlan, type FilmFormat, type FilmPlan, frameCount, motions, planned } from "./plan.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 const sizes = {
   "1080p": [1920, 1080],
@@ -113,10 +114,10 @@ export function filmDialog(
       const count = frameCount(planned(plan));
       const bare = viewer.state.look.background === "transparent";
       const behind = bare ? texts.film.opaque : "";
-      say(`${texts.film.frames(count)}${behind}.`);
+      say(`${fillIn(texts.film.frames, { n: count })}${behind}.`);
       start.disabled = false;
     } catch (error) {
-      say(textOf(error), true);
+      say(messageOf(error), true);
       start.disabled = true;
     }
   };
@@ -147,7 +148,7 @@ export function filmDialog(
   const onFrame = (made: number, count: number, rgba: Uint8ClampedArray<ArrayBuffer>): void => {
     bar.max = count;
     bar.value = made;
-    told.reach(made / count, texts.film.frame(made, count));
+    told.reach(made / count, fillIn(texts.film.frame, { made, all: count }));
     preview.hidden = false;
     if (preview.width !== plan.width || preview.height !== plan.height) {
       Object.assign(preview, { width: plan.width, height: plan.height });
@@ -162,10 +163,15 @@ export function filmDialog(
       const { signal } = running;
       const film = await during(() => makeFilm(viewer, plan, { signal, onFrame }));
       download(film, `${viewer.bundle?.name ?? "lambent"}-${plan.motion}.${plan.format}`);
-      say(texts.film.saved(texts.film.frames(frameCount(plan)), formatSize(film.size)));
+      say(
+        fillIn(texts.film.saved, {
+          frames: fillIn(texts.film.frames, { n: frameCount(plan) }),
+          size: formatSize(film.size),
+        }),
+      );
     } catch (error) {
       if (running.signal.aborted) say(texts.film.cancelled);
-      else say(textOf(error), true);
+      else say(messageOf(error), true);
     } finally {
       running = null;
       busy(false);
@@ -189,8 +195,4 @@ export function filmDialog(
       element.showModal();
     },
   };
-}
-
-function textOf(error: unknown): string {
-  return error instanceof Error ? error.message : String(error);
 }

@@ -13,7 +13,7 @@ import {
 } from "mediabunny";
 import { Fault } from "../page/fault.js";
 import type { FilmFormat, FilmPlan } from "./plan.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Codecs of a format, the one that most players know first. */
 const codecs: Readonly<Record<FilmFormat, readonly VideoCodec[]>> = {
@@ -40,13 +40,13 @@ type Size = Pick<FilmPlan, "width" | "height" | "framesPerSecond">;
  */
 export async function codecFor(format: FilmFormat, size: Size): Promise<VideoCodec> {
   if (typeof VideoEncoder === "undefined") {
-    throw new Fault("film.unsupported", ...texts.film.noEncoder());
+    throw new Fault("film.unsupported", texts.film.noEncoder);
   }
   const { width, height, framesPerSecond: frameRate } = size;
   for (const codec of codecs[format]) {
     if (await canEncodeVideo(codec, { width, height, frameRate, quality })) return codec;
   }
-  throw new Fault("film.unsupported", ...texts.film.notEncoded(format, width, height));
+  throw new Fault("film.unsupported", fillIn(texts.film.notEncoded, { format, width, height }));
 }
 
 /** A film being written. */
@@ -75,7 +75,9 @@ export async function beginFilm(plan: FilmPlan): Promise<FilmWriter> {
     codec,
     add: async (rgba) => {
       const sample = new VideoSample(rgba, {
-        ...{ format: "RGBX", codedWidth: width, codedHeight: height },
+        format: "RGBX",
+        codedWidth: width,
+        codedHeight: height,
         timestamp: frame / framesPerSecond,
         duration: 1 / framesPerSecond,
       });

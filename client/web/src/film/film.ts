@@ -4,7 +4,7 @@ import { Fault } from "../page/fault.js";
 import type { Viewer } from "../viewer/viewer.js";
 import { beginFilm } from "./encoder.js";
 import { type FilmPlan, frameCount, momentAt, momentOf, planned } from "./plan.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** How a film is made, besides what it shows. */
 export type FilmCallbacks = {
@@ -52,7 +52,7 @@ export async function makeFilm(
   } catch (error) {
     await writer.cancel();
     if (error instanceof DOMException && error !== signal?.reason) {
-      throw new Fault("film.incomplete", ...texts.film.encoderFailed(error.message));
+      throw new Fault("film.incomplete", fillIn(texts.film.encoderFailed, { detail: error.message }));
     }
     throw error;
   }

@@ -1,9 +1,8 @@
 /** What a film shows, and when: sizes, frames, and the state of the viewer at each of them. */
 
 import { Fault } from "../page/fault.js";
-import type { ViewerState } from "../viewer/state.js";
-import { wrapped } from "../viewer/state.js";
-import { texts } from "../words/words.js";
+import { type ViewerState, wrapped } from "../viewer/state.js";
+import { fillIn, type Problem, texts } from "../words/words.js";
 
 /** What turns once in a film: the camera, the light, or the camera one way and the light the other. */
 export const motions = ["turntable", "light", "both"] as const;
@@ -52,25 +51,25 @@ export function planned(asked: Partial<FilmPlan>): FilmPlan {
   const plan: FilmPlan = { ...defaultPlan, ...Object.fromEntries(given) };
   const inside = (value: number, [least, most]: readonly [number, number]): boolean =>
     value >= least && value <= most;
-  const refuse = (fault: readonly [what: string, advice: string]): never => {
-    throw new Fault("film.plan", ...fault);
+  const refuse = (problem: Problem): never => {
+    throw new Fault("film.plan", problem);
   };
   if (!motions.includes(plan.motion)) {
-    refuse(texts.film.badMotion(plan.motion, motions.join(", ")));
+    refuse(fillIn(texts.film.badMotion, { motion: plan.motion, all: motions.join(", ") }));
   }
   if (!filmFormats.includes(plan.format)) {
-    refuse(texts.film.badFormat(plan.format, filmFormats.join(", ")));
+    refuse(fillIn(texts.film.badFormat, { format: plan.format, all: filmFormats.join(", ") }));
   }
   for (const side of [plan.width, plan.height]) {
     if (!inside(side, filmLimits.side) || side % 2 !== 0) {
-      refuse(texts.film.badSize(plan.width, plan.height));
+      refuse(fillIn(texts.film.badSize, { width: plan.width, height: plan.height }));
     }
   }
   if (!inside(plan.seconds, filmLimits.seconds)) {
-    refuse(texts.film.badSeconds(plan.seconds));
+    refuse(fillIn(texts.film.badSeconds, { seconds: plan.seconds }));
   }
   if (!inside(plan.framesPerSecond, filmLimits.framesPerSecond)) {
-    refuse(texts.film.badRate(plan.framesPerSecond));
+    refuse(fillIn(texts.film.badRate, { rate: plan.framesPerSecond }));
   }
   return plan;
 }

@@ -1,20 +1,22 @@
 /** A job in a list, and its summary in a line. */
 
 import { jobAddress } from "../page/addresses.js";
-import { h, replaceKeyed, setText } from "../page/dom.js";
+import { arrange, h, replaceKeyed, setText } from "../page/dom.js";
 import { formatDuration, formatNumber, formatTime } from "../page/format.js";
 import type { Job } from "../page/rest.js";
 import { thumbnail } from "../page/thumbnail.js";
 import { isFinal } from "./store.js";
 import { stateLabel } from "./view.js";
-import { named, texts } from "../words/words.js";
+import { fillIn, named, texts } from "../words/words.js";
 
 /** The stages of a training, in their order. */
 export const stages = ["cameras", "ingest", "masks", "cache", "joint", "polish", "evaluate", "export"];
 
 /** Return a description of a job's work. */
 export function purpose(job: Job): string {
-  return job.kind === "train" ? texts.jobs.preset(job.preset) : named(texts.jobs.purposes, job.kind);
+  return job.kind === "train"
+    ? fillIn(texts.jobs.preset, { name: job.preset })
+    : named(texts.jobs.purposes, job.kind);
 }
 
 /** Return whether a job stands in lists: checks belong to their scene, and corrections to the editor of masks. */
@@ -31,14 +33,23 @@ export function jobName(job: Job): string {
 export function progressText(job: Job): string {
   if (isFinal(job)) {
     if (job.started_at === null || job.finished_at === null) return "";
-    return texts.jobs.took(formatDuration((Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000));
+    return fillIn(texts.jobs.took, {
+      time: formatDuration((Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000),
+    });
   }
   const { progress } = job;
   if (progress === null) return "";
   const parts = [named(texts.stages, progress.stage)];
-  if (progress.num_steps > 1) parts.push(texts.jobs.step(progress.doing, progress.step, progress.num_steps));
+  if (progress.num_steps > 1)
+    parts.push(
+      fillIn(texts.jobs.step, {
+        doing: progress.doing || texts.jobs.aStep,
+        step: progress.step,
+        steps: progress.num_steps,
+      }),
+    );
   if (progress.psnr > 0) parts.push(`PSNR ${formatNumber(progress.psnr, 1)} dB`);
-  if (progress.eta_s > 0) parts.push(texts.jobs.toGo(formatDuration(progress.eta_s)));
+  if (progress.eta_s > 0) parts.push(fillIn(texts.jobs.toGo, { time: formatDuration(progress.eta_s) }));
   return parts.join(" · ");
 }
 
@@ -83,16 +94,15 @@ export function jobList(label: string, nameOf: (job: Job) => string) {
   const element = h("ol", { class: "list", "aria-label": label });
   const lines = new Map<string, ReturnType<typeof jobLine>>();
   const update = (jobs: readonly Job[]) => {
-    jobs.forEach((job, place) => {
-      let line = lines.get(job.id);
-      if (line === undefined) {
-        line = jobLine(job, nameOf(job));
-        lines.set(job.id, line);
-      } else line.update(job);
-      if (element.children[place] !== line.element)
-        element.insertBefore(line.element, element.children[place] ?? null);
-    });
-    while (element.children.length > jobs.length) element.lastElementChild?.remove();
+    for (const job of jobs) {
+      const known = lines.get(job.id);
+      if (known === undefined) lines.set(job.id, jobLine(job, nameOf(job)));
+      else known.update(job);
+    }
+    arrange(
+      element,
+      jobs.map(({ id }) => lines.get(id)!.element),
+    );
     element.hidden = jobs.length === 0;
   };
   return { element, update };

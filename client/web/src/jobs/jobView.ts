@@ -12,7 +12,7 @@ import { previews } from "./previews.js";
 import { resultSection } from "./results.js";
 import { isFinal } from "./store.js";
 import { type Context, stateLabel, type View } from "./view.js";
-import { named, texts } from "../words/words.js";
+import { fillIn, named, texts } from "../words/words.js";
 
 /** Return the page of a job. */
 export async function jobView(context: Context, jobId: string): Promise<View> {
@@ -42,7 +42,7 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
   const remove = button(texts.job.delete, context, async () => {
     context.removals.ask({
       id: jobId,
-      what: texts.job.theJob(name),
+      what: fillIn(texts.job.theJob, { name }),
       send: (keepalive) => api.deleteJob(jobId, keepalive),
       gone: () => store.forget(jobId),
     });
@@ -54,7 +54,7 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
     if (record === undefined) return;
     const { job } = record;
     replaceKeyed(state, job.state, () => [stateLabel(job.state)]);
-    setText(news, texts.job.news(named(texts.states, job.state)));
+    setText(news, fillIn(texts.job.news, { state: named(texts.states, job.state) }));
     bar.value = fractionDone(job);
     bar.hidden = isFinal(job);
     setText(figures, statusText(job));
@@ -115,10 +115,10 @@ export function statusText(job: Job): string {
   if (job.state === "cancelling") parts.push(texts.job.stopping);
   const progress = progressText(job);
   if (progress !== "") parts.push(progress);
-  if (job.run > 1) parts.push(texts.job.run(job.run));
+  if (job.run > 1) parts.push(fillIn(texts.job.run, { number: job.run }));
   if (job.state === "retry_wait" && job.retry_at !== null) {
     const seconds = (Date.parse(job.retry_at) - Date.now()) / 1000;
-    parts.push(texts.job.nextTry(formatDuration(seconds)));
+    parts.push(fillIn(texts.job.nextTry, { time: formatDuration(seconds) }));
   }
   return parts.join(" · ");
 }

@@ -15,7 +15,7 @@ import {
   stateChoices,
 } from "./jobQuery.js";
 import type { Context } from "./view.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 const typingMs = 250;
 
@@ -77,8 +77,7 @@ export function jobsPanel(context: Context) {
     for (const job of page.items) store.put(job);
     draw();
     if (from === null) {
-      const { found: all, foundMore } = texts.jobs;
-      setText(news, cursor === null ? all(found.length) : foundMore(found.length));
+      setText(news, fillIn(cursor === null ? texts.jobs.found : texts.jobs.foundMore, { n: found.length }));
     }
   }
 

@@ -6,7 +6,7 @@ import type { Job } from "../page/rest.js";
 import { chart, thinned } from "./curves.js";
 import { stages } from "./jobLine.js";
 import type { JobRecord, Sample } from "./store.js";
-import { named, texts } from "../words/words.js";
+import { fillIn, named, texts } from "../words/words.js";
 
 const width = 400;
 const height = 100;
@@ -41,12 +41,19 @@ export function stageList(): Part {
     const hidden = h("span", { class: "sr" });
     const text = h("span", {}, name, hidden);
     const time = h("span", { class: "figures" });
-    const bar = h("progress", { max: 1, value: 0, "aria-label": texts.job.stageProgress(name) });
+    const bar = h("progress", {
+      max: 1,
+      value: 0,
+      "aria-label": fillIn(texts.job.stageProgress, { stage: name }),
+    });
     return { stage, mark, hidden, time, bar, element: h("li", {}, mark, text, time, bar) };
   });
   const marks: Record<StageState, string> = { done: "✓", now: "▸", waiting: "·" };
-  const { stageDone, stageToCome } = texts.job;
-  const words: Record<StageState, string> = { done: stageDone, now: "", waiting: stageToCome };
+  const words: Record<StageState, string> = {
+    done: texts.job.stageDone,
+    now: "",
+    waiting: texts.job.stageToCome,
+  };
   return {
     element: h("ol", { class: "stages", "aria-label": texts.job.stages }, ...rows.map((row) => row.element)),
     update: (record) => {
@@ -62,8 +69,9 @@ export function stageList(): Part {
           row.bar.value = progress.num_steps > 0 ? progress.step / progress.num_steps : 0;
           const { doing, step, num_steps: all, steps_per_s: speed } = progress;
           const parts = [];
-          if (all > 1) parts.push(texts.page.of(`${doing} ${step}`.trim(), String(all)));
-          if (speed > 0) parts.push(texts.job.perSecond(formatNumber(speed, 1)));
+          if (all > 1)
+            parts.push(fillIn(texts.page.of, { part: `${doing} ${step}`.trim(), whole: String(all) }));
+          if (speed > 0) parts.push(fillIn(texts.job.perSecond, { speed: formatNumber(speed, 1) }));
           setText(row.time, parts.join(" · "));
         } else {
           const seconds = stageSeconds(record, row.stage);
@@ -92,8 +100,8 @@ export function curves(): Part {
       const title = titleOf(stage);
       found =
         kind === "psnr"
-          ? plot(texts.job.psnrOf(title), "dB", 1, false)
-          : plot(texts.job.lossOf(title), "", 4, true);
+          ? plot(fillIn(texts.job.psnrOf, { stage: title }), "dB", 1, false)
+          : plot(fillIn(texts.job.lossOf, { stage: title }), "", 4, true);
       plots.set(key, found);
       if (kind === "psnr") element.insertBefore(found.element, folded);
       else losses.append(found.element);
@@ -142,9 +150,12 @@ function plot(name: string, unit: string, digits: number, logarithmic: boolean) 
     element.hidden = drawn === null;
     if (drawn === null) return;
     const now = samples.at(-1)!.value;
-    const range = texts.page.range(number(drawn.lowest), number(drawn.highest));
-    setText(caption, texts.job.plot(name, number(now), range, formatDuration(drawn.spanS)));
-    picture.setAttribute("aria-label", texts.job.plotLabel(name, number(now), range));
+    const range = fillIn(texts.page.range, { from: number(drawn.lowest), to: number(drawn.highest) });
+    setText(
+      caption,
+      fillIn(texts.job.plot, { name, now: number(now), range, time: formatDuration(drawn.spanS) }),
+    );
+    picture.setAttribute("aria-label", fillIn(texts.job.plotLabel, { name, now: number(now), range }));
     const key = drawn.curves.map((curve) => curve.points).join("|");
     replaceKeyed(picture as unknown as HTMLElement, key, () =>
       drawn.curves.map((curve) => {

@@ -10,7 +10,7 @@ import { latestPrepared, type Prepared, RestMaskBackend, readPrepared } from "..
 import { progressText } from "./jobLine.js";
 import { isFinal } from "./store.js";
 import type { Context, View } from "./view.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Makes the element in which masks are corrected. */
 export type OpenEditor = (given: {
@@ -24,10 +24,10 @@ export type OpenEditor = (given: {
 export function verdict({ preparation }: Prepared): string {
   const { editable, reason, doubtful, overlap } = preparation;
   if (!editable) return texts.masks.brought;
-  if (reason !== "") return texts.masks.unused(reason);
+  if (reason !== "") return fillIn(texts.masks.unused, { reason });
   const share = formatPercent(overlap);
-  if (doubtful.length === 0) return texts.masks.agree(share);
-  return texts.masks.agreeBut(share, doubtful.slice(0, 3).join(", "));
+  if (doubtful.length === 0) return fillIn(texts.masks.agree, { share });
+  return fillIn(texts.masks.agreeBut, { share, frames: doubtful.slice(0, 3).join(", ") });
 }
 
 /** Return the page; without `openEditor` masks are shown and cannot be corrected. */
@@ -95,12 +95,12 @@ export async function masksView(context: Context, sceneId: string, openEditor?: 
   draw();
 
   return {
-    title: texts.masks.pageOf(scene.name),
+    title: fillIn(texts.masks.pageOf, { scene: scene.name }),
     element: h(
       "div",
       {},
       h("p", {}, h("a", { href: sceneAddress(sceneId) }, texts.masks.theScene)),
-      h("h1", { tabindex: -1 }, texts.masks.titleOf(scene.name)),
+      h("h1", { tabindex: -1 }, fillIn(texts.masks.titleOf, { scene: scene.name })),
       status,
       h("div", { class: "actions" }, again),
       content,

@@ -7,7 +7,7 @@ import { formatAbout } from "../page/format.js";
 import { type Estimate, newKey, type Preset } from "../page/rest.js";
 import { correctionsOf, correctionsText, latestPrepared } from "../masks/restBackend.js";
 import type { Context } from "./view.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** An invalid line of the settings. */
 export class BadSetting extends Error {
@@ -20,7 +20,7 @@ export function parseSettings(text: string): Record<string, string> {
   for (const line of text.split("\n").map((each) => each.trim())) {
     if (line === "") continue;
     const match = /^([a-z][a-z0-9_]*(?:\.[a-z][a-z0-9_]*)*)\s*=\s*(.*)$/.exec(line);
-    if (match === null) throw new BadSetting(texts.order.badSetting(line));
+    if (match === null) throw new BadSetting(fillIn(texts.order.badSetting, { line }));
     found[match[1]!] = match[2]!;
   }
   return found;
@@ -29,9 +29,9 @@ export function parseSettings(text: string): Record<string, string> {
 /** Return the text about a preset's time. */
 export function estimateText(estimate: Estimate): string {
   if (estimate.seconds === null) return texts.order.noTime;
-  const about = texts.page.about(formatAbout(estimate.seconds));
-  if (estimate.num_measured === 0) return texts.order.onHardware(about);
-  return texts.order.asMeasured(about, estimate.num_measured);
+  const about = fillIn(texts.page.about, { time: formatAbout(estimate.seconds) });
+  if (estimate.num_measured === 0) return fillIn(texts.order.onHardware, { about });
+  return fillIn(texts.order.asMeasured, { about, n: estimate.num_measured });
 }
 
 /** Return the form. */
@@ -71,7 +71,7 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
     const list = correctionsOf(prepared);
     correctionsGiven = correctionsText(list);
     corrections.hidden = correctionsGiven === "";
-    setText(marks, texts.order.corrected(list.corrections.length));
+    setText(marks, fillIn(texts.order.corrected, { n: list.corrections.length }));
   }
 
   async function load(): Promise<void> {
@@ -83,7 +83,7 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
       ),
     );
     const ahead = estimates[0]?.num_ahead ?? 0;
-    setText(queue, ahead > 0 ? texts.order.ahead(ahead) : "");
+    setText(queue, ahead > 0 ? fillIn(texts.order.ahead, { n: ahead }) : "");
   }
   load().catch(fail);
 

@@ -4,7 +4,7 @@ import { blobAddress } from "../page/addresses.js";
 import { h, setText } from "../page/dom.js";
 import type { Part } from "./live.js";
 import type { JobRecord, Preview } from "./store.js";
-import { named, texts } from "../words/words.js";
+import { fillIn, named, texts } from "../words/words.js";
 
 /** Begins the names of pictures between which the camera has moved on by a step. */
 const turning = "turning_";
@@ -82,14 +82,13 @@ export function previews(): Part & { readonly close: () => void } {
       } else image.classList.toggle("on", image === now);
     }
     const text = previewText(preview);
-    now.alt = turn.length > 0 ? texts.job.modelTurning(text) : texts.job.model(text);
+    now.alt = fillIn(turn.length > 0 ? texts.job.modelTurning : texts.job.model, { stage: text });
     for (const image of images.values()) if (image !== now) image.alt = "";
-    const { newestPreviews, previewOf } = texts.job;
     setText(
       caption,
       turn.length > 0
-        ? newestPreviews(text, turn.length, all.length)
-        : previewOf(text, place + 1, all.length),
+        ? fillIn(texts.job.newestPreviews, { stage: text, turn: turn.length, all: all.length })
+        : fillIn(texts.job.previewOf, { stage: text, place: place + 1, all: all.length }),
     );
   }
 

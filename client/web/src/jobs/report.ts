@@ -3,7 +3,7 @@
 import { h, section } from "../page/dom.js";
 import { formatNumber } from "../page/format.js";
 import type { Finding, Scene, SceneReport } from "../page/rest.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 const layouts: ReadonlyMap<string, string> = new Map([
   ["tensoir_synthetic", "TensoIR-synthetic"],
@@ -16,7 +16,8 @@ const layouts: ReadonlyMap<string, string> = new Map([
 
 /** Return the name of a layout for display. */
 export function layoutName(layout: string): string {
-  if (layout === "photographs" || layout === "nerfstudio") return texts.scene[layout];
+  if (layout === "photographs") return texts.scene.photographs;
+  if (layout === "nerfstudio") return texts.scene.nerfstudio;
   return layouts.get(layout) ?? layout;
 }
 
@@ -30,18 +31,19 @@ export function measured(report: SceneReport): [string, string][] {
   const rows: [string, string][] = [];
   if (report.layout !== "") rows.push([texts.scene.layout, layoutName(report.layout)]);
   if (report.num_train_frames + report.num_test_frames > 0) {
-    const parts = [texts.scene.trainViews(report.num_train_frames)];
-    if (report.num_test_frames > 0) parts.push(texts.scene.testViews(report.num_test_frames));
+    const parts = [fillIn(texts.scene.trainViews, { number: report.num_train_frames })];
+    if (report.num_test_frames > 0)
+      parts.push(fillIn(texts.scene.testViews, { number: report.num_test_frames }));
     rows.push([texts.scene.views, parts.join(", ")]);
   }
   const { figures } = report;
   if (figures === null) return rows;
   if (figures.lacks_cameras) return rows;
-  rows.push([texts.scene.gap, texts.scene.gapOf(formatNumber(figures.upper_gap_deg))]);
-  const heights = texts.page.range(
-    `${formatNumber(figures.lowest_elevation_deg)}°`,
-    `${formatNumber(figures.highest_elevation_deg)}°`,
-  );
+  rows.push([texts.scene.gap, fillIn(texts.scene.gapOf, { degrees: formatNumber(figures.upper_gap_deg) })]);
+  const heights = fillIn(texts.page.range, {
+    from: `${formatNumber(figures.lowest_elevation_deg)}°`,
+    to: `${formatNumber(figures.highest_elevation_deg)}°`,
+  });
   rows.push([texts.scene.heights, heights]);
   rows.push([texts.scene.exposure, `${formatNumber(figures.exposure_range_ev, 2)} EV`]);
   rows.push([texts.scene.masks, figures.has_masks ? texts.scene.yes : texts.scene.no]);
@@ -77,8 +79,8 @@ export function reportSection(scene: Scene, report: SceneReport): HTMLElement {
 }
 
 function verdict(errors: number, notes: number): string {
-  if (errors > 0) return texts.scene.unusable(errors);
-  return notes > 0 ? texts.scene.usableNotes(notes) : texts.scene.usable;
+  if (errors > 0) return fillIn(texts.scene.unusable, { n: errors });
+  return notes > 0 ? fillIn(texts.scene.usableNotes, { n: notes }) : texts.scene.usable;
 }
 
 function table(rows: readonly [string, string][]): HTMLElement {

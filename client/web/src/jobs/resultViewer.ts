@@ -2,7 +2,7 @@
 
 import { explain } from "../page/actions.js";
 import { h } from "../page/dom.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Where the files of a bundle are. */
 export type Shown = {
@@ -15,7 +15,9 @@ export type Shown = {
 /** Return the element; the renderer and the bundle are loaded when it comes near the window. */
 export function resultViewer({ bundleId, name, poster }: Shown): HTMLElement {
   const picture =
-    poster === null ? null : h("img", { src: poster, alt: texts.results.relit(name), class: "poster" });
+    poster === null
+      ? null
+      : h("img", { src: poster, alt: fillIn(texts.results.relit, { name }), class: "poster" });
   const news = h("p", { class: "loading", role: "status" }, texts.results.loadingViewer);
   const frame = h("div", { class: "viewer" }, picture, news);
 
@@ -42,7 +44,7 @@ export function resultViewer({ bundleId, name, poster }: Shown): HTMLElement {
       start().catch((error) => {
         // The picture stays.
         frame.querySelector("lambent-viewer")?.remove();
-        news.textContent = texts.results.noViewer(explain(error));
+        news.textContent = fillIn(texts.results.noViewer, { why: explain(error) });
       });
     },
     { rootMargin: "200px" },

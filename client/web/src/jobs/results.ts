@@ -8,7 +8,7 @@ import { sharePanel } from "../share/panel.js";
 import { resultViewer } from "./resultViewer.js";
 import { metricRows, type Report, verdicts } from "./verdicts.js";
 import type { Context } from "./view.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Files of a bundle that other programs open: their path, and what the button calls them. */
 const assets: readonly [string, string][] = [
@@ -69,12 +69,17 @@ function actionsOf(artifacts: readonly Artifact[], bundle: BundleDetail | null):
       const file = bundle.files.find((each) => each.path === path);
       if (file !== undefined)
         found.push(
-          downloadButton(texts.results.download(suffix), file.url, path.split("/").at(-1)!, file.size_bytes),
+          downloadButton(
+            fillIn(texts.results.download, { suffix }),
+            file.url,
+            path.split("/").at(-1)!,
+            file.size_bytes,
+          ),
         );
     }
     found.push(
       downloadButton(
-        texts.results.download(".relight.zip"),
+        fillIn(texts.results.download, { suffix: ".relight.zip" }),
         archiveAddress(bundle.id),
         "",
         bundle.size_bytes,
@@ -107,7 +112,7 @@ function downloads(artifacts: readonly Artifact[], files: BundleDetail["files"])
   if (lines.length === 0) return [];
   return [
     fold(
-      texts.results.allFiles(lines.length),
+      fillIn(texts.results.allFiles, { n: lines.length }),
       h("ul", { class: "downloads", "aria-label": texts.results.downloads }, ...lines),
     ),
   ];
@@ -141,8 +146,9 @@ function downloadLines(artifacts: readonly Artifact[], files: BundleDetail["file
 function metricTable(report: Report): HTMLElement[] {
   const rows = metricRows(report);
   if (rows.length === 0) return [];
-  const { figures, figure } = texts.results;
-  return [fold(figures, table(rows, figures, figure(report.num_views ?? 0)))];
+  const views = report.num_views ?? 0;
+  const head = views > 0 ? fillIn(texts.results.figureOf, { views }) : texts.results.figure;
+  return [fold(texts.results.figures, table(rows, texts.results.figures, head))];
 }
 
 /** Return a name of a figure, such as "albedo_rgb_ratio/psnr_gamma", which breaks after its signs and not in its words. */

@@ -10,7 +10,7 @@ import { reportSection } from "./report.js";
 import { isFinal } from "./store.js";
 import { uploadPanel } from "./uploadPanel.js";
 import { type Context, stateLabel, type View } from "./view.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Return the page of a scene that is known. */
 export async function sceneView(context: Context, sceneId: string): Promise<View> {
@@ -30,7 +30,7 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
   const remove = button(texts.scene.delete, context, async () => {
     context.removals.ask({
       id: sceneId,
-      what: texts.scene.theScene(scene.name),
+      what: fillIn(texts.scene.theScene, { name: scene.name }),
       send: (keepalive) => api.deleteScene(sceneId, keepalive),
     });
     location.hash = "#/";
@@ -44,8 +44,10 @@ export async function sceneView(context: Context, sceneId: string): Promise<View
     const running = all.find((job) => job.kind === "check" && !isFinal(job));
     replaceKeyed(state, scene.state, () => [stateLabel(scene.state)]);
     const size =
-      scene.num_files > 0 ? `${texts.page.files(scene.num_files)}, ${formatSize(scene.size_bytes)} · ` : "";
-    setText(figures, `${size}${texts.scene.created(formatTime(scene.created_at))}`);
+      scene.num_files > 0
+        ? `${fillIn(texts.page.files, { n: scene.num_files })}, ${formatSize(scene.size_bytes)} · `
+        : "";
+    setText(figures, `${size}${fillIn(texts.scene.created, { time: formatTime(scene.created_at) })}`);
     checking.hidden = running === undefined;
     if (running !== undefined) {
       const progress = progressText(running);

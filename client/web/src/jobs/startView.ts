@@ -2,7 +2,7 @@
 
 import { button } from "../page/actions.js";
 import { jobAddress, sceneAddress, viewerAddress } from "../page/addresses.js";
-import { h, section } from "../page/dom.js";
+import { arrange, h, section } from "../page/dom.js";
 import { formatSize, formatTime } from "../page/format.js";
 import type { Bundle, Scene } from "../page/rest.js";
 import { thumbnailOf } from "../page/thumbnail.js";
@@ -10,7 +10,7 @@ import { jobsPanel } from "./jobsPanel.js";
 import { isFinal } from "./store.js";
 import { uploadPanel } from "./uploadPanel.js";
 import { type Context, stateLabel, type View } from "./view.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 type Page<T> = { readonly items: readonly T[]; readonly next_cursor: string | null };
 
@@ -99,7 +99,9 @@ function soon(act: () => void): { ask: () => void; stop: () => void } {
 
 function sceneLine(scene: Scene): HTMLLIElement {
   const size =
-    scene.num_files > 0 ? `${texts.page.files(scene.num_files)}, ${formatSize(scene.size_bytes)} · ` : "";
+    scene.num_files > 0
+      ? `${fillIn(texts.page.files, { n: scene.num_files })}, ${formatSize(scene.size_bytes)} · `
+      : "";
   return h(
     "li",
     { class: "card tile" },
@@ -119,11 +121,11 @@ function bundleLine(context: Context, bundle: Bundle): HTMLLIElement {
   const remove = button(texts.page.delete, context, async () =>
     context.removals.ask({
       id: bundle.id,
-      what: texts.start.theBundle(name),
+      what: fillIn(texts.start.theBundle, { name }),
       send: (keepalive) => context.api.deleteBundle(bundle.id, keepalive),
     }),
   );
-  remove.setAttribute("aria-label", texts.start.deleteBundle(name));
+  remove.setAttribute("aria-label", fillIn(texts.start.deleteBundle, { name }));
   return h(
     "li",
     { class: "card tile" },
@@ -177,11 +179,7 @@ function pagedList<T extends { readonly id: string }>(
       }
       return known.element;
     });
-    // Those that stay keep their place in the document, and with it the focus.
-    for (const element of [...list.children]) if (!elements.includes(element as never)) element.remove();
-    elements.forEach((element, place) => {
-      if (list.children[place] !== element) list.insertBefore(element, list.children[place] ?? null);
-    });
+    arrange(list, elements);
     more.hidden = cursor === null;
     empty.hidden = shown.length > 0;
     list.hidden = shown.length === 0;

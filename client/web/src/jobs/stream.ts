@@ -1,7 +1,6 @@
 /** Server-sent events by a fetch reader: unlike EventSource it says why it failed, and continues by header. */
 
-import { pause } from "../page/pause.js";
-import { type Api, Refused } from "../page/rest.js";
+import { type Api, pause, Refused } from "../page/rest.js";
 
 /** One message of the stream. */
 export type StreamMessage = { readonly event: string; readonly id: string; readonly data: string };

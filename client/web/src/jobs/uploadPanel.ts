@@ -1,7 +1,7 @@
 /** The panel for dropping or choosing photographs, with the current uploads. */
 
 import { sceneAddress } from "../page/addresses.js";
-import { h, setText } from "../page/dom.js";
+import { arrange, h, setText } from "../page/dom.js";
 import { chosenFiles, droppedEntries, filesIn } from "../page/files.js";
 import { formatSize } from "../page/format.js";
 import type { Scene } from "../page/rest.js";
@@ -9,13 +9,16 @@ import { type Candidate, collect } from "../upload/collect.js";
 import type { UploadStep } from "../upload/upload.js";
 import type { Running } from "../upload/uploads.js";
 import type { Context } from "./view.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Return the status of an upload in a line. */
 export function describe(step: UploadStep): string {
   const parts = [texts.upload.steps[step.what] as string];
-  if (step.totalBytes > 0) parts.push(texts.page.of(formatSize(step.doneBytes), formatSize(step.totalBytes)));
-  if (step.numKnown > 0) parts.push(texts.upload.known(step.numKnown));
+  if (step.totalBytes > 0)
+    parts.push(
+      fillIn(texts.page.of, { part: formatSize(step.doneBytes), whole: formatSize(step.totalBytes) }),
+    );
+  if (step.numKnown > 0) parts.push(fillIn(texts.upload.known, { n: step.numKnown }));
   return parts.join(" · ");
 }
 
@@ -78,23 +81,18 @@ export function uploadPanel(
   });
 
   const list = h("ul", { class: "list", "aria-label": texts.upload.uploads });
-  const rows = new Map<Promise<unknown>, { element: HTMLElement; update: (one: Running) => void }>();
+  const rows = new WeakMap<Promise<unknown>, { element: HTMLElement; update: (one: Running) => void }>();
   const draw = () => {
     const shown = uploads.all().filter((one) => one.sceneId === (scene?.id ?? null));
-    for (const [done, row] of rows) {
-      if (shown.some((one) => one.done === done)) continue;
-      row.element.remove();
-      rows.delete(done);
-    }
-    for (const one of shown) {
-      let row = rows.get(one.done);
-      if (row === undefined) {
-        row = uploadRow(one);
+    arrange(
+      list,
+      shown.map((one) => {
+        const row = rows.get(one.done) ?? uploadRow(one);
         rows.set(one.done, row);
-        list.append(row.element);
-      }
-      row.update(one);
-    }
+        row.update(one);
+        return row.element;
+      }),
+    );
     list.hidden = shown.length === 0;
     area.hidden = scene !== null && shown.length > 0;
   };
@@ -103,7 +101,11 @@ export function uploadPanel(
 }
 
 function uploadRow(one: Running): { element: HTMLElement; update: (one: Running) => void } {
-  const bar = h("progress", { max: 1, value: 0, "aria-label": texts.upload.uploadOf(one.name) });
+  const bar = h("progress", {
+    max: 1,
+    value: 0,
+    "aria-label": fillIn(texts.upload.uploadOf, { name: one.name }),
+  });
   const text = h("p", { class: "figures" });
   const stop = h("button", { type: "button", onclick: one.stop }, texts.upload.stop);
   const element = h("li", { class: "card" }, h("h3", {}, one.name), bar, text, h("div", {}, stop));

@@ -1,8 +1,7 @@
 /** Figures of an evaluation in words. What the words mean is in docs/howto/web-pages.md. */
 
 import { formatNumber } from "../page/format.js";
-import type { Texts } from "../words/en.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** The part of report.json (lambent_proto.v1.EvaluationReport) that is shown. */
 export type Report = {
@@ -30,20 +29,20 @@ type Scale<Name extends string> = readonly (readonly [number, Name])[];
 
 const worse = Number.POSITIVE_INFINITY;
 /** By the PSNR, negated so that less is better: a pixel is off by 3 %, 5 %, 8 %, 13 % of the range or more. */
-const pictures: Scale<keyof Texts["verdicts"]["pictures"]> = [
+const pictures: Scale<keyof (typeof texts)["verdicts"]["pictures"]> = [
   [-30, "best"],
   [-26, "good"],
   [-22, "fair"],
   [-18, "poor"],
   [worse, "bad"],
 ];
-const angles: Scale<keyof Texts["verdicts"]["angles"]> = [
+const angles: Scale<keyof (typeof texts)["verdicts"]["angles"]> = [
   [5, "best"],
   [10, "good"],
   [20, "fair"],
   [worse, "bad"],
 ];
-const roughness: Scale<keyof Texts["verdicts"]["roughness"]> = [
+const roughness: Scale<keyof (typeof texts)["verdicts"]["roughness"]> = [
   [0.08, "best"],
   [0.16, "good"],
   [worse, "bad"],
@@ -60,20 +59,25 @@ type Kind = {
 
 /** Return what is said of the figures of a report, the most important first. */
 function kinds(): ReadonlyMap<string, Kind> {
-  const told = texts.verdicts;
   const likeness = (about: string, truth: string): Kind => ({
     about,
-    words: (psnr) => told.pictures[on(pictures, -psnr)](truth),
+    words: (psnr) => fillIn(texts.verdicts.pictures[on(pictures, -psnr)], { truth }),
   });
   return new Map([
-    ["nvs/psnr", likeness(told.newViews, told.photographs)],
-    ["nvs_several_lights/psnr", likeness(told.newViews, told.photographs)],
-    ["training_views/psnr", likeness(told.trainedViews, told.photographs)],
-    ["relight/psnr", likeness(told.newLight, told.realPictures)],
-    ["relight_one_light/psnr", likeness(told.newLight, told.realPictures)],
-    ["albedo_rgb_ratio/psnr_gamma", likeness(told.colour, told.trueColour)],
-    ["normal/mae_mask", { about: told.shape, words: (value) => told.angles[on(angles, value)] }],
-    ["roughness/rmse", { about: told.gloss, words: (value) => told.roughness[on(roughness, value)] }],
+    ["nvs/psnr", likeness(texts.verdicts.newViews, texts.verdicts.photographs)],
+    ["nvs_several_lights/psnr", likeness(texts.verdicts.newViews, texts.verdicts.photographs)],
+    ["training_views/psnr", likeness(texts.verdicts.trainedViews, texts.verdicts.photographs)],
+    ["relight/psnr", likeness(texts.verdicts.newLight, texts.verdicts.realPictures)],
+    ["relight_one_light/psnr", likeness(texts.verdicts.newLight, texts.verdicts.realPictures)],
+    ["albedo_rgb_ratio/psnr_gamma", likeness(texts.verdicts.colour, texts.verdicts.trueColour)],
+    [
+      "normal/mae_mask",
+      { about: texts.verdicts.shape, words: (value) => texts.verdicts.angles[on(angles, value)] },
+    ],
+    [
+      "roughness/rmse",
+      { about: texts.verdicts.gloss, words: (value) => texts.verdicts.roughness[on(roughness, value)] },
+    ],
   ]);
 }
 
@@ -88,7 +92,7 @@ export function verdicts(report: Report): Verdict[] {
 }
 
 function figureText({ value, unit = "" }: Metric): string {
-  if (unit === "deg") return texts.verdicts.off(formatNumber(value, 1));
+  if (unit === "deg") return fillIn(texts.verdicts.off, { degrees: formatNumber(value, 1) });
   if (unit === "dB") return `${formatNumber(value, 1)} dB`;
   return formatNumber(value, 2);
 }

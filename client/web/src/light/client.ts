@@ -1,9 +1,8 @@
 /** Asks the light worker. */
 
-import { startWorker } from "../page/workers.js";
+import { Questions, startWorker, type Unnumbered } from "../page/workers.js";
 import workerUrl from "./lightWorker.ts?worker&url";
-import { Questions, type Unnumbered } from "../page/questions.js";
-import { MapFault } from "./fault.js";
+import { MapFault } from "../page/fault.js";
 import type { LightAnswer, LightQuestion, MapOrigin } from "./lightWorker.js";
 import type { PreparedLight } from "./prepare.js";
 
@@ -39,7 +38,7 @@ export class LightClient {
   async #ask(question: Unnumbered<LightQuestion>): Promise<LightAnswer> {
     const answer = await this.#questions.ask(question);
     if (answer.kind === "failed") {
-      throw Object.assign(new MapFault(answer.code, "", ""), { message: answer.message });
+      throw Object.assign(new MapFault(answer.code, { what: "", advice: "" }), { message: answer.message });
     }
     return answer;
   }

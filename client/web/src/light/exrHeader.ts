@@ -1,33 +1,25 @@
-/** Reads and checks the header of an OpenEXR file, like `lambent_core.exr`. */
+/**
+ * Reads and checks the header of an OpenEXR file, like `lambent_core.exr`. three's loader cannot do that: it
+ * returns a header only with the decoded picture, and believes the sizes that the header states.
+ */
 
+import type { Matrix3 } from "three";
 import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { MapFault, tooLarge } from "./fault.js";
+import { MapFault, tooLarge } from "../page/fault.js";
+import { fillIn, mapFaults } from "../words/words.js";
 import type { Layout } from "./layouts.js";
-import { type Matrix, rec709Matrix, toRec709 } from "./primaries.js";
-import { mapFaults } from "../words/mapFaults.js";
+import { rec709Matrix, toRec709 } from "./primaries.js";
 
-/** The numbers of the chromaticities of a header, in the order of its bytes. */
-export const primaries = ["redX", "redY", "greenX", "greenY", "blueX", "blueY", "whiteX", "whiteY"];
-
-type Box = { readonly xMin: number; readonly yMin: number; readonly xMax: number; readonly yMax: number };
-/** The parts of a header that decide whether a map can be used. */
-export type Header = {
-  readonly dataWindow: Box;
-  readonly displayWindow?: Box;
-  readonly channels?: readonly { readonly name: string }[];
-  readonly chromaticities?: Readonly<Record<string, number>>;
-  readonly spec: { readonly deepFormat: boolean };
-};
-
-/** What is to be done to the stored pixels. */
+/** What is stored, and what is to be done to it. */
 export type Shown = {
-  /** Where the display window begins in them, and its size. */
+  readonly stored: { readonly width: number; readonly height: number; readonly firstLine: number };
+  /** Where the display window begins in the stored picture, and its size. */
   readonly left: number;
   readonly top: number;
   readonly width: number;
   readonly height: number;
   /** From the stated primaries to Rec. 709. */
-  readonly matrix: Matrix | null;
+  readonly matrix: Matrix3 | null;
 };
 
 /** The attributes of the first part with red, green and blue, or else of the first: where the value of each lies. */
@@ -42,9 +34,9 @@ export type Stated = {
 
 const deep = 8;
 
-/** Return the fault of a file that is no whole OpenEXR picture. */
+/** Return the fault of a file that is not a complete OpenEXR picture. */
 export function damaged(): MapFault {
-  return new MapFault("environment.exr_damaged", ...mapFaults.exrDamaged());
+  return new MapFault("environment.exr_damaged", mapFaults.exrDamaged);
 }
 
 /**
@@ -65,7 +57,6 @@ export function statedBy(data: Uint8Array<ArrayBuffer>, maxPixels: number): Stat
   const flags = view.getUint8(5);
   const severalParts = (flags & 16) !== 0;
   const parts: Map<string, DataView>[] = [];
-  let known = false;
   for (let more = true; more; ) {
     const attributes = new Map<string, DataView>();
     parts.push(attributes);
@@ -75,26 +66,35 @@ export function statedBy(data: Uint8Array<ArrayBuffer>, maxPixels: number): Stat
       const size = view.getInt32(place, true);
       place += 4;
       if (size < 0 || place + size > data.length) throw damaged();
-      if (name === "dataWindow" && type === "box2i" && size === 16) {
-        known = true;
-        const [x0, y0, x1, y1] = [0, 4, 8, 12].map((at) => view.getInt32(place + at, true));
-        const [width, height] = [x1! - x0! + 1, y1! - y0! + 1];
+      const value = new DataView(data.buffer, data.byteOffset + place, size);
+      if (name === "dataWindow") {
+        const { width, height } = boxOf(type === "box2i" ? value : undefined);
         if (width <= 0 || height <= 0) throw damaged();
         if (width * height > maxPixels) throw tooLarge(width, height, maxPixels);
       }
-      attributes.set(name, new DataView(data.buffer, data.byteOffset + place, size));
+      attributes.set(name, value);
       place += size;
     }
     more = severalParts && data[place] !== 0;
   }
-  if (!known) throw damaged();
   const part = Math.max(parts.findIndex(hasColour), 0);
   return { flags, part, attributes: parts[part]!, end: place };
 }
 
 function hasColour(attributes: ReadonlyMap<string, DataView>): boolean {
-  const names = channelsOf(attributes.get("channels"))?.map(({ name }) => name) ?? [];
+  const names = channelsOf(attributes.get("channels")).map(({ name }) => name);
   return ["R", "G", "B"].every((name) => names.includes(name));
+}
+
+function boxOf(view: DataView | undefined): { left: number; top: number; width: number; height: number } {
+  if (view?.byteLength !== 16) throw damaged();
+  const [left, top] = [view.getInt32(0, true), view.getInt32(4, true)];
+  return {
+    left,
+    top,
+    width: view.getInt32(8, true) - left + 1,
+    height: view.getInt32(12, true) - top + 1,
+  };
 }
 
 /** A channel in a header; `type` 1 is half. */
@@ -105,14 +105,14 @@ export type Channel = {
   readonly ySampling: number;
 };
 
-/** Return the channels of a list, or null if it is damaged. */
-export function channelsOf(view: DataView | undefined): Channel[] | null {
+/** Return the channels of a list; throws for a damaged one. */
+export function channelsOf(view: DataView | undefined): Channel[] {
   const channels: Channel[] = [];
-  if (view === undefined) return null;
+  if (view === undefined) return channels;
   const bytes = new Uint8Array(view.buffer, view.byteOffset, view.byteLength);
   for (let place = 0; place < bytes.length && bytes[place] !== 0; ) {
     const end = bytes.indexOf(0, place);
-    if (end < 0 || end + 17 > bytes.length) return null;
+    if (end < 0 || end + 17 > bytes.length) throw damaged();
     const name = new TextDecoder("latin1").decode(bytes.subarray(place, end));
     const [xSampling, ySampling] = [view.getInt32(end + 9, true), view.getInt32(end + 13, true)];
     channels.push({ name, type: view.getInt32(end + 1, true), xSampling, ySampling });
@@ -121,64 +121,59 @@ export function channelsOf(view: DataView | undefined): Channel[] | null {
   return channels;
 }
 
-/** Throw for a flat picture without red, green and blue at full resolution, on which decoders differ. */
-export function checkChannels({ attributes, flags }: Stated): void {
-  const channels = channelsOf(attributes.get("channels"));
-  if (channels === null || flags & deep) return;
-  if (!hasColour(attributes)) throw withoutColour(channels.map(({ name }) => name));
-  const colours = channels.filter(({ name }) => ["R", "G", "B"].includes(name));
-  if (colours.some(({ xSampling, ySampling }) => xSampling !== 1 || ySampling !== 1)) {
-    throw new MapFault("environment.exr_channels", ...mapFaults.exrSubsampled());
-  }
-}
-
-function withoutColour(names: string[]): MapFault {
-  const shown = names.sort().slice(0, 16).join(", ");
-  return new MapFault("environment.exr_channels", ...mapFaults.exrChannels(shown));
-}
-
 /** Return the layout that the attribute envmap states, if it is there. */
 export function statedLayout({ attributes }: Stated): Layout | undefined {
   const value = attributes.get("envmap");
   return value?.byteLength === 1 ? (["latlong", "cube"] as const)[value.getUint8(0)] : undefined;
 }
 
-/** Return what to do to the pixels; throws for a picture without whole red, green and blue. */
-export function checkHeader(header: Header, width: number, height: number): Shown {
-  if (header.spec.deepFormat) {
-    throw new MapFault("environment.exr_deep", ...mapFaults.exrDeep());
+/** Return what to do to the pixels; throws for a picture without whole red, green and blue at full resolution. */
+export function checkHeader({ attributes, flags }: Stated): Shown {
+  if (flags & deep) throw new MapFault("environment.exr_deep", mapFaults.exrDeep);
+  const channels = channelsOf(attributes.get("channels"));
+  if (!hasColour(attributes)) {
+    const names = channels.map(({ name }) => name).sort();
+    const shown = names.slice(0, 16).join(", ");
+    throw new MapFault("environment.exr_channels", fillIn(mapFaults.exrChannels, { channels: shown }));
   }
-  const names = (header.channels ?? []).map((channel) => channel.name);
-  if (!["R", "G", "B"].every((name) => names.includes(name))) {
-    throw withoutColour(names);
+  const colours = channels.filter(({ name }) => ["R", "G", "B"].includes(name));
+  if (colours.some(({ xSampling, ySampling }) => xSampling !== 1 || ySampling !== 1)) {
+    throw new MapFault("environment.exr_channels", mapFaults.exrSubsampled);
   }
-  const shown = header.displayWindow;
-  if (shown === undefined) throw damaged();
-  const [left, top] = [shown.xMin - header.dataWindow.xMin, shown.yMin - header.dataWindow.yMin];
-  const [across, down] = [shown.xMax - shown.xMin + 1, shown.yMax - shown.yMin + 1];
-  const inside = left >= 0 && top >= 0 && left + across <= width && top + down <= height;
-  if (!inside || across <= 0 || down <= 0) {
-    throw new MapFault("environment.exr_cropped", ...mapFaults.exrCropped());
+  const stored = boxOf(attributes.get("dataWindow"));
+  const { width, height, ...window } = boxOf(attributes.get("displayWindow"));
+  const [left, top] = [window.left - stored.left, window.top - stored.top];
+  const inside = left >= 0 && top >= 0 && left + width <= stored.width && top + height <= stored.height;
+  if (!inside || width <= 0 || height <= 0) {
+    throw new MapFault("environment.exr_cropped", mapFaults.exrCropped);
   }
-  const stated = header.chromaticities;
+  const stated = attributes.get("chromaticities");
   const matrix =
-    stated === undefined ? null : rec709Matrix(primaries.map((name) => stated[name] ?? Number.NaN));
-  if (matrix === undefined) throw new MapFault("environment.exr_primaries", ...mapFaults.exrPrimaries());
-  return { left, top, width: across, height: down, matrix };
+    stated === undefined
+      ? null
+      : rec709Matrix(
+          Array.from({ length: stated.byteLength / 4 }, (_, at) => stated.getFloat32(4 * at, true)),
+        );
+  if (matrix === undefined) throw new MapFault("environment.exr_primaries", mapFaults.exrPrimaries);
+  return {
+    stored: { width: stored.width, height: stored.height, firstLine: stored.top },
+    left,
+    top,
+    width,
+    height,
+    matrix,
+  };
 }
 
 /** Return the display window of the stored picture, in Rec. 709. */
-export function shownOf(
-  stored: EnvironmentMap & { readonly radianceRgb: Float32Array },
-  shown: Shown,
-): EnvironmentMap {
-  const { left, top, width, height, matrix } = shown;
-  let { radianceRgb } = stored;
+export function shownOf(storedRgb: Float32Array, shown: Shown): EnvironmentMap {
+  const { stored, left, top, width, height, matrix } = shown;
+  let radianceRgb = storedRgb;
   if (width !== stored.width || height !== stored.height) {
     radianceRgb = new Float32Array(3 * width * height);
     for (let row = 0; row < height; row++) {
       const from = 3 * ((top + row) * stored.width + left);
-      radianceRgb.set(stored.radianceRgb.subarray(from, from + 3 * width), 3 * row * width);
+      radianceRgb.set(storedRgb.subarray(from, from + 3 * width), 3 * row * width);
     }
   }
   toRec709(radianceRgb, matrix);

@@ -5,16 +5,13 @@
  * its size, and planes by line. Deflated bytes are differences of neighbours, first those at even places.
  */
 
-import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { inflated } from "../page/inflate.js";
 import { halfTable } from "../engine/half.js";
-import { channelsOf, damaged, type Header, primaries, type Stated } from "./exrHeader.js";
+import { inflated } from "../page/buffers.js";
+import { channelsOf, damaged, type Shown, type Stated } from "./exrHeader.js";
 
 /** The layout of the lines in such a file. */
 export type HalfLines = {
-  readonly header: Header;
-  readonly width: number;
-  readonly height: number;
+  readonly stored: Shown["stored"];
   /** Lines in a chunk; those of one line are not compressed. */
   readonly linesPerChunk: 1 | 16;
   readonly tableStart: number;
@@ -26,39 +23,23 @@ export type HalfLines = {
 const half = 1;
 
 /** Return the layout of a file's lines, or null if it is of another kind. */
-export function halfLinesOf({ flags, attributes, end }: Stated): HalfLines | null {
-  const [window, shown] = [boxOf(attributes.get("dataWindow")), boxOf(attributes.get("displayWindow"))];
+export function halfLinesOf({ flags, attributes, end }: Stated, { stored }: Shown): HalfLines | null {
   const compression = attributes.get("compression");
-  const channels = channelsOf(attributes.get("channels"));
-  if (flags & ~4 || window === null || shown === null || channels === null) return null;
-  if (compression?.byteLength !== 1 || typeof DecompressionStream === "undefined") return null;
+  if (flags & ~4 || compression?.byteLength !== 1 || typeof DecompressionStream === "undefined") return null;
   const linesPerChunk = ({ 0: 1, 3: 16 } as const)[compression.getUint8(0)];
+  const channels = channelsOf(attributes.get("channels"));
   const plain = channels.every(
     ({ type, xSampling, ySampling }) => type === half && xSampling === 1 && ySampling === 1,
   );
+  if (linesPerChunk === undefined || !plain) return null;
   const rgb = ["R", "G", "B"].map((name) => channels.findIndex((channel) => channel.name === name));
-  if (linesPerChunk === undefined || !plain || rgb.includes(-1)) return null;
-  const stated = attributes.get("chromaticities");
-  const chromaticities =
-    stated?.byteLength === 32
-      ? Object.fromEntries(primaries.map((name, at) => [name, stated.getFloat32(4 * at, true)]))
-      : undefined;
-  return {
-    header: {
-      ...{ dataWindow: window, displayWindow: shown, channels, spec: { deepFormat: false } },
-      ...(chromaticities === undefined ? {} : { chromaticities }),
-    },
-    ...{ width: window.xMax - window.xMin + 1, height: window.yMax - window.yMin + 1 },
-    ...{ linesPerChunk, tableStart: end, numChannels: channels.length, rgb },
-  };
+  return { stored, linesPerChunk, tableStart: end, numChannels: channels.length, rgb };
 }
 
 /** Return the stored picture, row 0 at the top; throws MapFault for a damaged one. */
-export async function readHalfLines(
-  data: Uint8Array<ArrayBuffer>,
-  lines: HalfLines,
-): Promise<EnvironmentMap & { readonly radianceRgb: Float32Array }> {
-  const { width, height, linesPerChunk, tableStart, header } = lines;
+export async function readHalfLines(data: Uint8Array<ArrayBuffer>, lines: HalfLines): Promise<Float32Array> {
+  const { linesPerChunk, tableStart } = lines;
+  const { width, height, firstLine } = lines.stored;
   const numChunks = Math.ceil(height / linesPerChunk);
   const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
   if (tableStart + 8 * numChunks > data.length) throw damaged();
@@ -67,7 +48,7 @@ export async function readHalfLines(
   const readChunk = async (chunk: number): Promise<void> => {
     const start = Number(view.getBigUint64(tableStart + 8 * chunk, true));
     if (start + 8 > data.length) throw damaged();
-    const row = view.getInt32(start, true) - header.dataWindow.yMin;
+    const row = view.getInt32(start, true) - firstLine;
     const size = view.getInt32(start + 4, true);
     const place = row / linesPerChunk;
     if (!(place >= 0 && place < numChunks && Number.isInteger(place)) || seen[place] !== 0) throw damaged();
@@ -81,12 +62,12 @@ export async function readHalfLines(
     writeLines(new Uint16Array(bytes.buffer), lines, row, numLines, radianceRgb);
   };
   await Promise.all(Array.from(seen, (_, chunk) => readChunk(chunk)));
-  return { height, width, radianceRgb };
+  return radianceRgb;
 }
 
 function writeLines(
   halves: Uint16Array,
-  { width, numChannels, rgb }: HalfLines,
+  { stored: { width }, numChannels, rgb }: HalfLines,
   row: number,
   numLines: number,
   radianceRgb: Float32Array,
@@ -123,10 +104,4 @@ function undone(stored: Uint8Array): Uint8Array<ArrayBuffer> {
     bytes[2 * (at - middle) + 1] = value;
   }
   return bytes;
-}
-
-function boxOf(view: DataView | undefined): Header["dataWindow"] | null {
-  if (view?.byteLength !== 16) return null;
-  const [xMin, yMin, xMax, yMax] = [0, 4, 8, 12].map((at) => view.getInt32(at, true));
-  return { xMin: xMin!, yMin: yMin!, xMax: xMax!, yMax: yMax! };
 }

@@ -5,8 +5,8 @@
  */
 
 import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { mapFaults } from "../words/mapFaults.js";
-import { MapFault } from "./fault.js";
+import { fillIn, mapFaults } from "../words/words.js";
+import { MapFault } from "../page/fault.js";
 
 type Vector = readonly [x: number, y: number, z: number];
 type Face = readonly [ahead: Vector, right: Vector, down: Vector];
@@ -80,7 +80,7 @@ export function decidedLayout(map: EnvironmentMap, stated?: Layout, given?: Layo
   const { height, width } = map;
   const layout = given ?? stated ?? layoutOfSize(height, width);
   if (layout === "latlong" || (layout !== null && fits(layout, height, width))) return layout;
-  throw new MapFault("environment.shape", ...mapFaults.shape(width, height));
+  throw new MapFault("environment.shape", fillIn(mapFaults.shape, { width, height }));
 }
 
 /**
@@ -153,7 +153,10 @@ export function toLatLong(map: EnvironmentMap, layout: Layout, maxWidth: number)
 }
 
 function unclear(layout: Layout): MapFault {
-  return new MapFault("environment.layout_unclear", ...mapFaults.layoutUnclear(mapFaults.layouts[layout]));
+  return new MapFault(
+    "environment.layout_unclear",
+    fillIn(mapFaults.layoutUnclear, { layout: mapFaults.layouts[layout] }),
+  );
 }
 
 /** Return whether a disc that is lit has no light at all in a ring near its edge, as a ball with a margin. */

@@ -2,13 +2,13 @@
 
 import { buffersOf } from "../page/buffers.js";
 import { splitSumTable } from "../engine/splitSum.js";
-import { MapFault, mapTold } from "./fault.js";
+import { MapFault, toldOf } from "../page/fault.js";
 import type { EnvironmentMap } from "../engine/environmentMap.js";
 import { openEnvironment } from "./open.js";
 import { type NotedMap, type PreparedLight, prepareLight, usableMap } from "./prepare.js";
 import { type PresetName, presetMap } from "./presets.js";
 import { ballPicture, smallMap } from "./thumbnail.js";
-import { mapFaults } from "../words/mapFaults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 import { workerSpeaks } from "../words/languages.js";
 
 /** The source of a map; the format is detected from the first bytes. */
@@ -57,7 +57,7 @@ self.onmessage = async ({ data: question }: MessageEvent<LightQuestion>) => {
     const light = prepareLight(await openMap(question.origin), question.bands, question.dominant);
     answer({ id, kind: "light", light }, buffersOf(light));
   } catch (error) {
-    answer({ id, kind: "failed", ...mapTold(error) }, []);
+    answer({ id, kind: "failed", ...toldOf(error, "environment", mapFaults.memory) }, []);
   }
 };
 
@@ -104,12 +104,15 @@ async function fetched(url: string): Promise<Uint8Array<ArrayBuffer>> {
   } catch {
     const { host } = new URL(url);
     if (await isForbidden(url)) {
-      throw new MapFault("environment.blocked", ...mapFaults.blocked(host));
+      throw new MapFault("environment.blocked", fillIn(mapFaults.blocked, { host }));
     }
-    throw new MapFault("environment.missing", ...mapFaults.unreadable(url));
+    throw new MapFault("environment.missing", fillIn(mapFaults.unreadable, { address: url }));
   }
   if (!response.ok) {
-    throw new MapFault("environment.missing", ...mapFaults.notFound(url, response.status));
+    throw new MapFault(
+      "environment.missing",
+      fillIn(mapFaults.notFound, { address: url, status: response.status }),
+    );
   }
   return new Uint8Array(await response.arrayBuffer());
 }

@@ -1,9 +1,9 @@
 /** Environment maps from files: decoded, repaired, and converted to latitude-longitude where they are laid out otherwise. */
 
 import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { mapFaults } from "../words/mapFaults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 import { readExr } from "./exrInput.js";
-import { MapFault } from "./fault.js";
+import { MapFault } from "../page/fault.js";
 import { blankUnused, decidedLayout, type Layout, toLatLong } from "./layouts.js";
 import { maxWidth, repaired } from "./prepare.js";
 import { readRgbe } from "./rgbe.js";
@@ -21,7 +21,9 @@ export async function openEnvironment(
   const blank = blankUnused(picture, readAs, given !== undefined);
   // Unusable values are replaced before a conversion spreads them.
   const map = toLatLong(repaired(blank, notes), readAs, maxWidth);
-  notes.unshift(mapFaults.converted(mapFaults.layouts[readAs], `${map.width} x ${map.height}`));
+  notes.unshift(
+    fillIn(mapFaults.converted, { layout: mapFaults.layouts[readAs], to: `${map.width} x ${map.height}` }),
+  );
   return { ...map, notes, readAs };
 }
 
@@ -32,5 +34,5 @@ async function decoded(
   const [first, second, third, fourth] = data;
   if (first === 0x76 && second === 0x2f && third === 0x31 && fourth === 0x01) return readExr(data, maxPixels);
   if (first === 0x23 && second === 0x3f) return readRgbe(data, maxPixels);
-  throw new MapFault("environment.unknown_format", ...mapFaults.unknownFormat());
+  throw new MapFault("environment.unknown_format", mapFaults.unknownFormat);
 }

@@ -8,9 +8,9 @@ import { directionOfPixel } from "../engine/environment.js";
 import { type EnvironmentMap, pixelSolidAngle, resized } from "../engine/environmentMap.js";
 import { project } from "../engine/harmonics.js";
 import { prefilter } from "../engine/prefilter.js";
-import { MapFault } from "./fault.js";
+import { MapFault } from "../page/fault.js";
 import { toHalf } from "../engine/half.js";
-import { mapFaults } from "../words/mapFaults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 
 /** Levels of roughness: 0, 1/8, ... 1. */
 export const numLevels = 9;
@@ -101,7 +101,12 @@ export function usableMap(given: NotedMap): { map: EnvironmentMap; notes: string
   if (map.width > maxWidth) {
     const height = Math.max(1, Math.round((map.height * maxWidth) / map.width));
     map = resized(map, height, maxWidth);
-    notes.push(mapFaults.reduced(`${given.width} x ${given.height}`, `${map.width} x ${map.height}`));
+    notes.push(
+      fillIn(mapFaults.reduced, {
+        from: `${given.width} x ${given.height}`,
+        to: `${map.width} x ${map.height}`,
+      }),
+    );
   }
   return { map, notes };
 }
@@ -118,9 +123,9 @@ export function repaired(map: EnvironmentMap, notes: string[]): EnvironmentMap {
   }
   if (count === 0) return map;
   if (count === map.radianceRgb.length) {
-    throw new MapFault("environment.no_values", ...mapFaults.noValues());
+    throw new MapFault("environment.no_values", mapFaults.noValues);
   }
-  notes.push(mapFaults.replaced(count));
+  notes.push(fillIn(mapFaults.replaced, { n: count }));
   const radianceRgb = Float32Array.from(map.radianceRgb, (value) => {
     if (!(value >= 0)) return 0;
     return value === Number.POSITIVE_INFINITY ? largest : value;

@@ -4,16 +4,17 @@
  * A pixel (r, g, b, e) means (r, g, b) 2^(e - 136); e = 0 is black.
  */
 
+import type { Matrix3 } from "three";
 import type { EnvironmentMap } from "../engine/environmentMap.js";
-import { MapFault, tooLarge } from "./fault.js";
-import { type Matrix, rec709Matrix, toRec709 } from "./primaries.js";
+import { MapFault, tooLarge } from "../page/fault.js";
+import { rec709Matrix, toRec709 } from "./primaries.js";
 import { DamagedLines, decodeLines } from "./rgbeRows.js";
-import { mapFaults } from "../words/mapFaults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 
 const resolutionLine = /^([-+])([XY]) (\d{1,7}) ([-+])([XY]) (\d{1,7})$/;
 
 function damaged(what: string): MapFault {
-  return new MapFault("environment.hdr_damaged", ...mapFaults.hdr(what));
+  return new MapFault("environment.hdr_damaged", fillIn(mapFaults.hdr, { what }));
 }
 
 /** Return the linear Rec. 709 picture, row 0 at the top whatever the scan order; throws MapFault. */
@@ -68,7 +69,7 @@ type RgbeHeader = {
   /** What stored values must be divided by. */
   readonly scale: readonly number[];
   /** From the stated primaries to Rec. 709. */
-  readonly matrix: Matrix | null;
+  readonly matrix: Matrix3 | null;
 };
 
 function readHeader(data: Uint8Array): RgbeHeader {
@@ -79,22 +80,25 @@ function readHeader(data: Uint8Array): RgbeHeader {
   const stop = text.indexOf("\n\n");
   if (stop < 0) throw damaged(mapFaults.hdrNoEnd);
   const scale = [1, 1, 1];
-  let matrix: Matrix | null = null;
+  let matrix: Matrix3 | null = null;
   for (const line of text.slice(0, stop).split("\n").slice(1)) {
     const [key = "", value = ""] = line.split("=", 2).map((part) => part.trim());
     if (key === "FORMAT" && value !== "32-bit_rle_rgbe") {
-      throw new MapFault("environment.hdr_format", ...mapFaults.hdrFormat(value.slice(0, 32)));
+      throw new MapFault(
+        "environment.hdr_format",
+        fillIn(mapFaults.hdrFormat, { format: value.slice(0, 32) }),
+      );
     }
     if (key === "EXPOSURE" || key === "COLORCORR") {
       const numbers = value.split(/\s+/).map(Number);
-      if (numbers.length !== 1 && numbers.length !== 3) throw damaged(mapFaults.hdrLine(key));
+      if (numbers.length !== 1 && numbers.length !== 3) throw damaged(fillIn(mapFaults.hdrLine, { key }));
       scale.forEach((before, channel) => {
         scale[channel] = before * numbers[numbers.length === 1 ? 0 : channel]!;
       });
     }
     if (key === "PRIMARIES") {
       const found = rec709Matrix(value.split(/\s+/).map(Number));
-      if (found === undefined) throw damaged(mapFaults.hdrLine(key));
+      if (found === undefined) throw damaged(fillIn(mapFaults.hdrLine, { key }));
       matrix = found;
     }
   }

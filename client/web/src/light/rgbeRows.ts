@@ -4,7 +4,7 @@
  * all of it is taken as flat, if it then ends where the pixels do.
  */
 
-import { mapFaults } from "../words/mapFaults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 
 /** The end of a sentence about a file whose lines cannot be decoded. */
 export class DamagedLines extends Error {}
@@ -38,12 +38,12 @@ function readCoded(data: Uint8Array, start: number, target: Uint8Array, line: nu
   const length = target.length / 4;
   let position = start;
   for (let filled = 0; filled < target.length; ) {
-    if (position + 1 >= data.length) throw new DamagedLines(mapFaults.hdrRowEnds(line));
+    if (position + 1 >= data.length) throw new DamagedLines(fillIn(mapFaults.hdrRowEnds, { row: line }));
     const code = data[position++]!;
     const repeats = code > 128;
     const count = repeats ? code - 128 : code;
     if (count === 0 || filled + count > target.length || (!repeats && position + count > data.length)) {
-      throw new DamagedLines(mapFaults.hdrRowDamaged(line));
+      throw new DamagedLines(fillIn(mapFaults.hdrRowDamaged, { row: line }));
     }
     for (let index = 0; index < count; index++, filled++) {
       target[4 * (filled % length) + Math.floor(filled / length)] =
@@ -59,12 +59,12 @@ function readFlat(data: Uint8Array, start: number, target: Uint8Array, line: num
   const length = target.length / 4;
   let position = start;
   for (let filled = 0, digit = 0; filled < length; position += 4) {
-    if (position + 4 > data.length) throw new DamagedLines(mapFaults.hdrRowEnds(line));
+    if (position + 4 > data.length) throw new DamagedLines(fillIn(mapFaults.hdrRowEnds, { row: line }));
     if (isRepeat(data, position)) {
       // Consecutive repeats are digits of one count, least significant first.
       const count = data[position + 3]! * 256 ** digit++;
       if (filled === 0 || digit > 4) throw new DamagedLines(mapFaults.hdrRepeats);
-      if (filled + count > length) throw new DamagedLines(mapFaults.hdrRowDamaged(line));
+      if (filled + count > length) throw new DamagedLines(fillIn(mapFaults.hdrRowDamaged, { row: line }));
       repeat(target, filled, count);
       filled += count;
     } else {

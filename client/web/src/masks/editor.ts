@@ -8,7 +8,7 @@ import { documentOf, History } from "./corrections.js";
 import { doubtfulFirst, Grid } from "./grid.js";
 import { Pad } from "./pad.js";
 import { toolControls } from "./tools.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 export type EditorContext = {
   readonly backend: MaskBackend;
@@ -28,17 +28,19 @@ const largeSide = 1600;
 /** Return in words what the views make of the masks. */
 export function agreementText(agreement: number, reason: string, marked: boolean): string {
   if (reason !== "" && !marked) {
-    return texts.masks.notFound(reason);
+    return fillIn(texts.masks.notFound, { reason });
   }
-  return texts.masks.agree(formatPercent(agreement));
+  return fillIn(texts.masks.agree, { share: formatPercent(agreement) });
 }
 
 /** Return in words what came of the last change. */
 export function appliedText(applied: Applied, frames: number, seconds: number): string {
   const changed =
-    applied.changed.length === 0 ? texts.masks.unchanged : texts.masks.changed(applied.changed.length);
-  const agree = texts.masks.agree(formatPercent(applied.agreement));
-  return texts.masks.applied(frames, formatNumber(seconds, 1), changed, agree);
+    applied.changed.length === 0
+      ? texts.masks.unchanged
+      : fillIn(texts.masks.changed, { n: applied.changed.length });
+  const agree = fillIn(texts.masks.agree, { share: formatPercent(applied.agreement) });
+  return fillIn(texts.masks.applied, { frames, seconds: formatNumber(seconds, 1), changed, agree });
 }
 
 /** Load the capture and return the editor. */
@@ -207,7 +209,7 @@ class MaskEditor implements Editor {
     if (this.#pad.cancel() || !this.#history.canUndo) return;
     const frames = this.#history.undo();
     this.#changed();
-    setText(this.#status, texts.masks.undone([...frames].join(", ")));
+    setText(this.#status, fillIn(texts.masks.undone, { frames: [...frames].join(", ") }));
   }
 
   #clearOpen(): void {
@@ -246,10 +248,13 @@ class MaskEditor implements Editor {
     this.context.recovered?.();
     if (state.kind === "applying") {
       const began = performance.now();
-      const text = texts.masks.carrying(this.#frames.length);
+      const text = fillIn(texts.masks.carrying, { frames: this.#frames.length });
       setText(this.#status, text);
       this.#ticking = setInterval(() => {
-        setText(this.#status, texts.masks.seconds(text, Math.round((performance.now() - began) / 1000)));
+        setText(
+          this.#status,
+          fillIn(texts.masks.seconds, { text, seconds: Math.round((performance.now() - began) / 1000) }),
+        );
       }, 1000);
       return;
     }
@@ -286,5 +291,9 @@ class MaskEditor implements Editor {
 }
 
 function button(text: string, key: string, act: () => void): HTMLButtonElement {
-  return h("button", { type: "button", title: key === "" ? null : texts.page.key(key), onclick: act }, text);
+  return h(
+    "button",
+    { type: "button", title: key === "" ? null : fillIn(texts.page.key, { key }), onclick: act },
+    text,
+  );
 }

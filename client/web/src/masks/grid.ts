@@ -1,9 +1,10 @@
 /** All photographs, small, with their masks. */
 
 import { h, setText } from "../page/dom.js";
+import { inLines } from "../page/rest.js";
 import type { Frame, MaskBackend } from "./backend.js";
 import { drawThumbnail } from "./paint.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 const thumbnailSide = 240;
 /** So many requests are under way at once. */
@@ -14,18 +15,11 @@ export function doubtfulFirst(frames: readonly Frame[]): Frame[] {
   return [...frames.filter((each) => each.doubtful), ...frames.filter((each) => !each.doubtful)];
 }
 
-/** Run `work` for all items, a few at a time. */
-export async function inLines<T>(items: readonly T[], work: (item: T) => Promise<void>): Promise<void> {
-  const left = [...items];
-  const line = async () => {
-    for (let item = left.shift(); item !== undefined; item = left.shift()) await work(item);
-  };
-  await Promise.all(Array.from({ length: Math.min(lines, items.length) }, line));
-}
-
 /** Return the words for a photograph's state. */
 export function badge(doubtful: boolean, marks: number): string {
-  return [doubtful && texts.masks.doubtful, marks > 0 && texts.masks.marks(marks)].filter(Boolean).join(", ");
+  return [doubtful && texts.masks.doubtful, marks > 0 && fillIn(texts.masks.marks, { n: marks })]
+    .filter(Boolean)
+    .join(", ");
 }
 
 type Cell = {
@@ -58,7 +52,7 @@ export class Grid {
 
   /** Fetch masks, and pictures where they are missing, and draw them. */
   async draw(names: readonly string[]): Promise<void> {
-    await inLines(names, async (name) => {
+    await inLines(lines, names, async (name) => {
       const cell = this.#cells.get(name)!;
       cell.asked += 1;
       const mine = cell.asked;

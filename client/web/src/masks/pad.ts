@@ -6,7 +6,7 @@ import type { Frame } from "./backend.js";
 import { drawCursor, drawMark, overlayOf } from "./paint.js";
 import { afterKey, brushShare, type Tools } from "./tools.js";
 import { fitted, moved, showing, toPhoto, toScreen, type Viewport, zoomed } from "./viewport.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 export type PadHost = {
   readonly tools: () => Tools;
@@ -61,7 +61,7 @@ export class Pad {
     this.clear();
     this.#frame = frame;
     this.element.style.aspectRatio = `${frame.width} / ${frame.height}`;
-    this.element.setAttribute("aria-label", texts.masks.canvas(frame.name));
+    this.element.setAttribute("aria-label", fillIn(texts.masks.canvas, { frame: frame.name }));
     this.whole();
   }
 

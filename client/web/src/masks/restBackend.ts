@@ -4,7 +4,7 @@ import { sceneAddress } from "../page/addresses.js";
 import type { Api, Artifact, Job } from "../page/rest.js";
 import type { Applied, Capture, Finished, MaskBackend } from "./backend.js";
 import type { CorrectionList } from "./corrections.js";
-import { named, texts } from "../words/words.js";
+import { fillIn, named, texts } from "../words/words.js";
 
 /** `preparation/frames.json` of a job: see `lambent_capture.masks.preview`. */
 export type Preparation = {
@@ -62,10 +62,10 @@ export async function readPrepared(api: PreparationApi, job: Job): Promise<Prepa
   const { items } = await api.artifacts(job.id);
   const artifacts = new Map(items.map((item) => [item.name, item]));
   const frames = artifacts.get(`${folder}frames.json`);
-  if (frames === undefined) throw new Error(texts.masks.noMasks(job.id));
+  if (frames === undefined) throw new Error(fillIn(texts.masks.noMasks, { job: job.id }));
   const preparation = await api.document<Preparation>(frames.url);
   if (preparation.version !== version) {
-    throw new Error(texts.masks.version(preparation.version, version));
+    throw new Error(fillIn(texts.masks.version, { found: preparation.version, known: version }));
   }
   return { job, preparation, artifacts };
 }
@@ -132,7 +132,7 @@ export class RestMaskBackend implements MaskBackend {
     );
     this.#shown = after;
     if (this.#mine.delete(before.job.id)) {
-      // Nobody comes back to it; a job that cannot be removed yet is no fault of the visitor.
+      // It is not used again; if it cannot be removed yet, the visitor need not know.
       await this.api.deleteJob(before.job.id).catch(() => {});
     }
     this.#mine.add(job.id);
@@ -170,7 +170,9 @@ export class RestMaskBackend implements MaskBackend {
       throw error;
     }
     if (job.state !== "succeeded") {
-      throw new Error(job.error?.message ?? texts.masks.notComputed(named(texts.states, job.state)));
+      throw new Error(
+        job.error?.message ?? fillIn(texts.masks.notComputed, { state: named(texts.states, job.state) }),
+      );
     }
     return job;
   }
@@ -179,7 +181,9 @@ export class RestMaskBackend implements MaskBackend {
     const entry = this.#shown.preparation.frames.find(({ name }) => name === frame);
     const file = entry === undefined ? undefined : this.#shown.artifacts.get(folder + entry[kind]);
     if (file === undefined) {
-      throw new Error(kind === "mask" ? texts.masks.noMask(frame) : texts.masks.noPicture(frame));
+      throw new Error(
+        kind === "mask" ? fillIn(texts.masks.noMask, { frame }) : fillIn(texts.masks.noPicture, { frame }),
+      );
     }
     return file;
   }

@@ -2,7 +2,7 @@
 
 import { h } from "../page/dom.js";
 import type { Label } from "./corrections.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 export type Shape = "brush" | "box" | "move";
 export type Tools = { label: Label; shape: Shape; brush: number };
@@ -42,7 +42,7 @@ export function toolControls(initial: Tools, changed: (tools: Tools) => void) {
   ) => {
     const inputs = options.map(([value, text, key]) => {
       const input = h("input", { type: "radio", name, value, onchange: () => choose({ [name]: value }) });
-      return { value, input, label: h("label", { title: texts.page.key(key) }, input, text) };
+      return { value, input, label: h("label", { title: fillIn(texts.page.key, { key }) }, input, text) };
     });
     const element = h(
       "fieldset",

@@ -1,6 +1,7 @@
 /** Buttons that send a request to the server, and the messages for refused requests. */
 
 import { h } from "./dom.js";
+import { messageOf } from "./fault.js";
 import { Refused, Unreachable } from "./rest.js";
 import { texts } from "../words/words.js";
 
@@ -16,7 +17,7 @@ export function explain(error: unknown): string {
       .map((each) => `${each.pointer.replace(/^#\/?/, "")}: ${each.message}`);
     return [error.message, ...details].join("\n");
   }
-  return error instanceof Error ? error.message : String(error);
+  return messageOf(error);
 }
 
 /** Return a button that is disabled while its action is running. */

@@ -1,3 +1,42 @@
+/** Arrays of bytes: their digests, unpacking them, and handing them to workers. */
+
+import { sha256 } from "@noble/hashes/sha2.js";
+import { bytesToHex } from "@noble/hashes/utils.js";
+
+/**
+ * Return the SHA-256 of `data`, lower-case hexadecimal: by the browser where it offers that, which it does not for pages
+ * that came over plain HTTP.
+ */
+export async function sha256Hex(data: Uint8Array<ArrayBuffer>): Promise<string> {
+  const subtle = globalThis.crypto?.subtle;
+  return bytesToHex(subtle ? new Uint8Array(await subtle.digest("SHA-256", data)) : sha256(data));
+}
+
+/**
+ * Return `numBytes` of deflated bytes, unpacked by the browser, and the length of what was read: more, where that was
+ * found before the end. Null for damaged bytes.
+ */
+export async function inflated(
+  packed: Uint8Array<ArrayBuffer>,
+  format: CompressionFormat,
+  numBytes: number,
+): Promise<{ bytes: Uint8Array<ArrayBuffer>; length: number } | null> {
+  const reader = new Blob([packed]).stream().pipeThrough(new DecompressionStream(format)).getReader();
+  const bytes = new Uint8Array(numBytes);
+  let length = 0;
+  try {
+    for (let part = await reader.read(); !part.done && length <= numBytes; part = await reader.read()) {
+      bytes.set(part.value.subarray(0, numBytes - length), length);
+      length += part.value.length;
+    }
+  } catch {
+    return null;
+  } finally {
+    void reader.cancel().catch(() => {});
+  }
+  return { bytes, length };
+}
+
 /** Return the buffers of the arrays in a plain value, each once, so that a worker can hand them over. */
 export function buffersOf(value: unknown): ArrayBufferLike[] {
   if (ArrayBuffer.isView(value)) return [value.buffer];

@@ -32,6 +32,14 @@ export function section(
   return h("section", attributes, h("h2", {}, title), ...children);
 }
 
+/** Give a list these children, in this order; those that stay are not moved, so that they keep the focus. */
+export function arrange(list: Element, children: readonly Element[]): void {
+  for (const each of [...list.children]) if (!children.includes(each)) each.remove();
+  children.forEach((each, place) => {
+    if (list.children[place] !== each) list.insertBefore(each, list.children[place] ?? null);
+  });
+}
+
 /** Change the text of an element only where it differs, so that readers hear what is new and nothing twice. */
 export function setText(element: Element, text: string): void {
   if (element.textContent !== text) element.textContent = text;

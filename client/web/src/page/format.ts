@@ -26,7 +26,10 @@ export function formatDuration(seconds: number): string {
 export function formatAbout(seconds: number): string {
   const told = (value: number, unit: string, digits = 0): string =>
     new Intl.NumberFormat(locale, {
-      ...{ style: "unit", unit, unitDisplay: "long", maximumFractionDigits: digits },
+      style: "unit",
+      unit,
+      unitDisplay: "long",
+      maximumFractionDigits: digits,
     }).format(value);
   if (seconds < 90) return told(Math.max(Math.round(seconds / 5) * 5, 5), "second");
   if (seconds < 90 * 60) return told(seconds / 60, "minute");

@@ -1,9 +1,9 @@
-/** Deleting with a way back: for some seconds what was deleted is only hidden, and the server is told after that. */
+/** Deleting with a way back: for some seconds what was deleted is only hidden, and the server deletes it after that. */
 
 import { explain } from "./actions.js";
 import { h } from "./dom.js";
 import { Refused } from "./rest.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 export const undoMs = 10_000;
 
@@ -26,7 +26,7 @@ export class Removals {
   readonly #sent = new Set<string>();
   readonly #listeners = new Set<() => void>();
 
-  /** `fail` is told why the server refused. */
+  /** `fail` receives the server's refusal. */
   constructor(
     private readonly fail: (error: unknown) => void,
     private readonly delayMs = undoMs,
@@ -78,11 +78,13 @@ export class Removals {
       await waiting.removal.send(keepalive);
       waiting.removal.gone?.();
     } catch (error) {
-      // What somebody else has deleted meanwhile is gone as well.
+      // What another user has deleted meanwhile is gone as well.
       if (error instanceof Refused && error.status === 404) waiting.removal.gone?.();
       else {
         this.#sent.delete(id);
-        this.fail(new Error(texts.page.notDeleted(waiting.removal.what, explain(error))));
+        this.fail(
+          new Error(fillIn(texts.page.notDeleted, { what: waiting.removal.what, why: explain(error) })),
+        );
       }
     }
     this.#tell();
@@ -104,18 +106,18 @@ export function removalNotices(removals: Removals): HTMLElement {
       const had = notice.contains(document.activeElement);
       notice.remove();
       shown.delete(id);
-      // The focus was on what is gone; it goes on at the top of the view.
+      // The focus was on what is gone; it continues at the top of the view.
       if (had) document.querySelector<HTMLElement>("#main h1")?.focus();
     }
     for (const { id, what } of removals.waiting) {
       if (shown.has(id)) continue;
       const undo = h(
         "button",
-        { type: "button", "aria-label": texts.page.undoDelete(what) },
+        { type: "button", "aria-label": fillIn(texts.page.undoDelete, { what }) },
         texts.page.undo,
       );
       undo.addEventListener("click", () => removals.undo(id));
-      const notice = h("p", { class: "notice toast" }, texts.page.deleted(what), " ", undo);
+      const notice = h("p", { class: "notice toast" }, fillIn(texts.page.deleted, { what }), " ", undo);
       shown.set(id, notice);
       element.append(notice);
       // The button that was pressed is gone, and the next thing wanted may be the way back.

@@ -1,7 +1,7 @@
 /** The REST API for the pages: typed bodies, problems as exceptions. */
 
 import type { components } from "../contract/rest.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 export type Schemas = components["schemas"];
 export type Job = Schemas["Job"];
@@ -52,7 +52,7 @@ export async function requireOk(response: Response): Promise<Response> {
   throw new Refused(
     response.status,
     problem.code ?? `http_${response.status}`,
-    problem.detail ?? texts.page.answered(response.status),
+    problem.detail ?? fillIn(texts.page.answered, { status: response.status }),
     problem.retryable ?? response.status >= 500,
     problem.errors ?? [],
   );
@@ -63,6 +63,37 @@ export function newKey(): string {
   // Not crypto.randomUUID: that one is missing where a page came over plain HTTP.
   const parts = crypto.getRandomValues(new Uint32Array(4));
   return `page-${Array.from(parts, (part) => part.toString(16)).join("")}`;
+}
+
+/** Waiting for a server. */
+
+/** Run `work` for all items, `count` at a time. */
+export async function inLines<T>(
+  count: number,
+  items: readonly T[],
+  work: (item: T) => Promise<void>,
+): Promise<void> {
+  const left = [...items];
+  const line = async () => {
+    for (let item = left.shift(); item !== undefined; item = left.shift()) await work(item);
+  };
+  await Promise.all(Array.from({ length: count }, line));
+}
+
+/** Wait; ends early when the network comes back or `signal` is aborted. */
+export function pause(milliseconds: number, signal: AbortSignal): Promise<void> {
+  return new Promise((resolve) => {
+    // Takes the listeners away when one of them was called.
+    const over = new AbortController();
+    const end = () => {
+      clearTimeout(timer);
+      over.abort();
+      resolve();
+    };
+    const timer = setTimeout(end, milliseconds);
+    signal.addEventListener("abort", end, { signal: over.signal });
+    globalThis.addEventListener?.("online", end, { signal: over.signal });
+  });
 }
 
 export type Api = ReturnType<typeof createApi>;
@@ -80,19 +111,21 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
     return requireOk(response);
   }
 
-  async function json<T>(method: string, path: string, body?: unknown, headers = {}): Promise<T> {
-    const init: RequestInit =
-      body === undefined
-        ? { headers }
-        : { body: JSON.stringify(body), headers: { "content-type": "application/json", ...headers } };
+  async function answer<T>(method: string, path: string, init: RequestInit = {}): Promise<T> {
     const response = await request(method, path, init);
     return response.status === 204 ? (null as T) : ((await response.json()) as T);
   }
 
-  async function remove(path: string, keepalive: boolean): Promise<null> {
-    await request("DELETE", path, { keepalive });
-    return null;
-  }
+  const json = <T>(method: string, path: string, body?: unknown, headers = {}): Promise<T> =>
+    answer<T>(
+      method,
+      path,
+      body === undefined
+        ? { headers }
+        : { body: JSON.stringify(body), headers: { "content-type": "application/json", ...headers } },
+    );
+
+  const remove = (path: string, keepalive: boolean) => answer<null>("DELETE", path, { keepalive });
 
   const list = (path: string, limit: number, cursor: string | null) =>
     `${path}?limit=${limit}${cursor === null ? "" : `&cursor=${encodeURIComponent(cursor)}`}`;
@@ -140,10 +173,9 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
         throw new Unreachable(texts.page.noServerShort);
       }
     },
-    putArchive: async (id: string, body: Blob, mediaType: string, signal: AbortSignal) => {
+    putArchive: (id: string, body: Blob, mediaType: string, signal: AbortSignal) => {
       const headers = { "content-type": mediaType };
-      const response = await request("PUT", `/v1/scenes/${id}/archive`, { body, signal, headers });
-      return (await response.json()) as Scene;
+      return answer<Scene>("PUT", `/v1/scenes/${id}/archive`, { body, signal, headers });
     },
     commit: (id: string) => json<Scene>("POST", `/v1/scenes/${id}:commit`),
     /** With `keepalive` the request outlives the page. */
@@ -161,8 +193,7 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
     jobsOf: (sceneId: string, kind: Job["kind"], state: Job["state"], limit: number) =>
       json<Schemas["JobList"]>("GET", `/v1/jobs?scene=${sceneId}&kind=${kind}&state=${state}&limit=${limit}`),
     /** The job once it has ended, or as it is after half a minute. */
-    waitForJob: async (id: string, signal: AbortSignal) =>
-      (await (await request("GET", `/v1/jobs/${id}?wait=30`, { signal })).json()) as Job,
+    waitForJob: (id: string, signal: AbortSignal) => answer<Job>("GET", `/v1/jobs/${id}?wait=30`, { signal }),
     deleteJob: (id: string, keepalive = false) => remove(`/v1/jobs/${id}`, keepalive),
     /** The same `key` never makes a second job. */
     submit: (order: Partial<Schemas["NewJob"]> & { scene_id: string }, key: string) =>
@@ -177,10 +208,10 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
       json<Schemas["BundleList"]>("GET", list("/v1/bundles", 50, cursor)),
     bundle: (id: string) => json<BundleDetail>("GET", `/v1/bundles/${id}`),
     /** Upload a map, .hdr or .exr. */
-    createEnvironment: async (name: string, body: Blob) => {
+    createEnvironment: (name: string, body: Blob) => {
       const headers = { "content-type": "application/octet-stream" };
       const path = `/v1/environments?name=${encodeURIComponent(name)}`;
-      return (await (await request("POST", path, { body, headers })).json()) as Schemas["Environment"];
+      return answer<Schemas["Environment"]>("POST", path, { body, headers });
     },
     shares: (id: string) => json<Schemas["ShareList"]>("GET", `/v1/bundles/${id}/shares`),
     createShare: (id: string, expiresInS: number, frameAncestors: readonly string[] = []) =>
@@ -191,7 +222,7 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
     revokeShare: (id: string) => json<null>("DELETE", `/v1/shares/${id}`),
     openShare: (token: string) => json<Schemas["OpenedShare"]>("POST", "/v1/shares:open", { token }),
     /** A JSON file among a job's artifacts. */
-    document: async <T>(url: string) => (await (await request("GET", url)).json()) as T,
+    document: <T>(url: string) => answer<T>("GET", url),
     /** The bytes of an artifact. */
     blob: async (url: string) => (await request("GET", url)).blob(),
     /** The answer whose body is the stream of events. */

@@ -5,7 +5,7 @@ import { startWorker } from "../page/workers.js";
 import type { OpenQuestion, RefineAnswer, RefineQuestion } from "./messages.js";
 import workerUrl from "./refineWorker.ts?worker&url";
 import type { RefineOptions } from "./status.js";
-import { deviceFaults } from "../words/deviceFaults.js";
+import { deviceFaults } from "../words/words.js";
 
 const mostWorkers = 4;
 /** Bytes that all workers may hold of a bundle. */

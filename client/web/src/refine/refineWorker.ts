@@ -1,6 +1,6 @@
 /** Refines pictures in a worker. */
 
-import { BundleFault } from "../bundle/fault.js";
+import { BundleFault } from "../page/fault.js";
 import { openBundle } from "../bundle/manifest.js";
 import { openSource } from "../bundle/source.js";
 import { forHits } from "../bundle/transport.js";
@@ -25,7 +25,7 @@ import { pixelFeatures } from "./pixelFeatures.js";
 import { brightness, SkyLight } from "./skyLight.js";
 import { type SurfacePoints, surfacePoints } from "./surfacePoints.js";
 import { type CacheFiles, openMesh, openTracer, RefineFault, type Tracer } from "./tracer.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { bundleFaults } from "../words/words.js";
 import { workerSpeaks } from "../words/languages.js";
 
 /** Directions of a point in one pass. */
@@ -84,7 +84,7 @@ async function open(question: OpenQuestion): Promise<void> {
   const { manifest } = files;
   const stated = manifest.transport;
   if (manifest.sceneId !== sceneId || stated === undefined) {
-    throw new BundleFault("bundle.digest_mismatch", ...bundleFaults.changed());
+    throw new BundleFault("bundle.digest_mismatch", bundleFaults.changed);
   }
   const { material, shadowBits } = await forHits(transport, stated, files.read);
   const isShared = share.ports.length > 0 && globalThis.crossOriginIsolated;
@@ -111,7 +111,7 @@ function tablesFrom(port: MessagePort): Promise<SharedTables> {
 async function cacheFiles({ manifest, read }: Awaited<ReturnType<typeof openBundle>>): Promise<CacheFiles> {
   const graph = manifest.graphs.find(({ name }) => name === "fast_cache");
   if (graph === undefined) {
-    throw new BundleFault("bundle.graph_missing", ...bundleFaults.noNetworks());
+    throw new BundleFault("bundle.graph_missing", bundleFaults.noNetworks);
   }
   const [model, weights] = await Promise.all([read(graph.path), read("models/weights.bin")]);
   return { manifest, model, weights };

@@ -1,6 +1,6 @@
 /** The status and options of refining. */
 
-import { locale, texts } from "../words/words.js";
+import { fillIn, locale, texts } from "../words/words.js";
 
 /**
  * What finds the light that reaches a point: "mesh": exact rays against the mesh, on the processor; "wgsl" and "wasm":
@@ -66,12 +66,16 @@ export function statusText(status: RefineStatus): string {
   if (phase === "off") return "";
   if (phase === "waiting") return texts.refine.waiting;
   if (phase === "loading") return texts.refine.preparing;
-  if (phase === "failed") return texts.refine.failed(message);
+  if (phase === "failed") return fillIn(texts.refine.failed, { why: message });
   const by =
-    backend === null ? "" : texts.refine.by(`${texts.refine.places[backend]}${note && ` (${note})`}`);
-  if (samplesPerPixel === 0) return texts.refine.first(by);
+    backend === null
+      ? ""
+      : fillIn(texts.refine.by, { place: `${texts.refine.places[backend]}${note && ` (${note})`}` });
+  if (samplesPerPixel === 0) return fillIn(texts.refine.first, { by });
   const digits = { minimumSignificantDigits: 2, maximumSignificantDigits: 2 };
   const noise = new Intl.NumberFormat(locale, { style: "percent", ...digits }).format(relativeError);
-  const progress = texts.refine.progress(samplesPerPixel, noise, by);
-  return phase === "done" ? texts.refine.done(progress) : texts.refine.running(progress);
+  const progress = fillIn(texts.refine.progress, { samples: samplesPerPixel, noise, by });
+  return phase === "done"
+    ? fillIn(texts.refine.done, { progress })
+    : fillIn(texts.refine.running, { progress });
 }

@@ -6,7 +6,7 @@ import { download } from "../viewer/save.js";
 import type { Viewer } from "../viewer/viewer.js";
 import { statusText } from "./status.js";
 import { refinedFile } from "./stillFile.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Refine a picture and offer it as a file, with its progress in a dialog in `root`; resolves when that is closed. */
 export async function saveRefined(
@@ -20,7 +20,9 @@ export async function saveRefined(
   const told = new WorkNews();
   told.say(texts.refine.starting);
   const cancel = button(texts.page.cancel, () => stop.abort(new DOMException("cancelled", "AbortError")));
-  const heading = make("h2", { textContent: texts.refine.heading(size.width, size.height) });
+  const heading = make("h2", {
+    textContent: fillIn(texts.refine.heading, { width: size.width, height: size.height }),
+  });
   const element = make("dialog", { className: "work" }, heading, bar, told.count, told.news, cancel);
   element.setAttribute("aria-label", texts.refine.dialog);
   element.addEventListener("cancel", (event) => {
@@ -36,7 +38,7 @@ export async function saveRefined(
       onProgress: (part, parts, status) => {
         const made = part - (status.phase === "done" ? 0 : 1);
         Object.assign(bar, { max: parts, value: made });
-        told.reach(made / parts, texts.refine.part(part, parts, statusText(status)));
+        told.reach(made / parts, fillIn(texts.refine.part, { part, parts, status: statusText(status) }));
       },
     });
     download(blob, `${viewer.bundle?.name ?? "lambent"}.${kind}`);

@@ -1,10 +1,10 @@
 /** World positions of an atlas's texels: `texel_positions` of `lambent_relight.baked.scene`. */
 
 import type { AtlasMesh } from "../bundle/mesh.js";
-import { exportAgain } from "../bundle/fault.js";
+import { exportAgain } from "../page/fault.js";
 import { spreadTexels } from "../bundle/texels.js";
 import type { PackedTransport } from "../bundle/transport.js";
-import { bundleFaults } from "../words/bundleFaults.js";
+import { bundleFaults, fillIn } from "../words/words.js";
 
 /**
  * Return the position of every covered texel's centre on the mesh, triples; throws BundleFault where the mesh covers
@@ -14,7 +14,7 @@ export function texelPositions(mesh: AtlasMesh, transport: PackedTransport): Flo
   const { size, numTexels, texelPlane } = transport;
   const drawn = drawCharts(mesh, size);
   if (drawn.places.length === 0)
-    throw exportAgain("bundle.mesh_invalid", bundleFaults.mesh(bundleFaults.coversNothing));
+    throw exportAgain("bundle.mesh_invalid", fillIn(bundleFaults.mesh, { what: bundleFaults.coversNothing }));
   const positions = new Float32Array(3 * numTexels);
   const known = new Uint8Array(numTexels);
   const place = new Int32Array(numTexels).fill(-1);

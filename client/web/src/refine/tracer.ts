@@ -10,7 +10,7 @@ import { NotFused } from "../engine/fusedWeights.js";
 import { openGraph } from "../engine/onnxGraphs.js";
 import { MeshRays } from "./meshRays.js";
 import type { Backend } from "./status.js";
-import { deviceFaults } from "../words/deviceFaults.js";
+import { deviceFaults, fillIn } from "../words/words.js";
 
 /** Opacity and distance of rays, one number each, and the texels that were met where those are known. */
 export type Traced = {
@@ -98,13 +98,14 @@ export async function openTracer(files: CacheFiles, wanted: Backend | "auto"): P
     const opened = await openWgsl(files);
     if (typeof opened !== "string") return { tracer: opened, note: "" };
     reason = opened;
-    if (wanted === "wgsl") throw new RefineFault(deviceFaults.tryAnother(reason));
+    if (wanted === "wgsl") throw new RefineFault(fillIn(deviceFaults.tryAnother, { reason }));
   }
   try {
     return { tracer: await openWasm(files), note: reason };
   } catch (error) {
-    const { noWasm, and, noTracer } = deviceFaults;
-    throw new RefineFault(noTracer(reason === "" ? noWasm : and(reason, noWasm), firstLine(error)));
+    const { noWasm } = deviceFaults;
+    const reasons = reason === "" ? noWasm : fillIn(deviceFaults.and, { one: reason, other: noWasm });
+    throw new RefineFault(fillIn(deviceFaults.noTracer, { reasons, detail: firstLine(error) }));
   }
 }
 
@@ -137,15 +138,15 @@ async function openWgsl({ manifest, model, weights }: CacheFiles): Promise<Trace
         return null;
       });
       if (answers === null || trouble !== "") {
-        throw new RefineFault(deviceFaults.webgpuFailed(trouble));
+        throw new RefineFault(fillIn(deviceFaults.webgpuFailed, { detail: trouble }));
       }
       return answers;
     });
   } catch (error) {
     device?.destroy();
-    if (error instanceof NotFused) return deviceFaults.otherForm(error.message);
+    if (error instanceof NotFused) return fillIn(deviceFaults.otherForm, { detail: error.message });
     if (error instanceof GPUPipelineError || error instanceof DOMException) {
-      return deviceFaults.webgpuRefused(firstLine(error));
+      return fillIn(deviceFaults.webgpuRefused, { detail: firstLine(error) });
     }
     throw error;
   }

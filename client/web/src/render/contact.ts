@@ -5,7 +5,7 @@
 
 import type { LoadedBundle } from "../bundle/load.js";
 import type { AtlasMesh } from "../bundle/mesh.js";
-import { deviceFaults } from "../words/deviceFaults.js";
+import { deviceFaults } from "../words/words.js";
 
 /** Share of the seen vertices that may lie under the ground: stray ones, and thickness that fits are off by. */
 const below = 0.005;

@@ -1,13 +1,12 @@
 /** Errors of drawing. */
 
-import { deviceFaults } from "../words/deviceFaults.js";
+import type { Problem } from "../words/words.js";
 
 /** Thrown where the browser cannot draw what the viewer needs. */
 export class GraphicsFault extends Error {
   override readonly name = "GraphicsFault";
 
-  /** `advice` says what to do. */
-  constructor(what: string, advice = deviceFaults.advice) {
+  constructor({ what, advice }: Problem) {
     super(`${what}; ${advice}`);
   }
 }

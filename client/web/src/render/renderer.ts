@@ -2,7 +2,7 @@
 
 import { WebGLRenderer } from "three";
 import { GraphicsFault } from "./fault.js";
-import { deviceFaults } from "../words/deviceFaults.js";
+import { deviceFaults } from "../words/words.js";
 
 /** Return what draws on a canvas; throws GraphicsFault where there is no WebGL2 or no target for radiance. */
 export function rendererOn(canvas: HTMLCanvasElement): WebGLRenderer {
@@ -10,7 +10,7 @@ export function rendererOn(canvas: HTMLCanvasElement): WebGLRenderer {
   try {
     renderer = new WebGLRenderer({ canvas, antialias: false, alpha: true, premultipliedAlpha: true });
   } catch {
-    throw new GraphicsFault(deviceFaults.noWebgl);
+    throw new GraphicsFault({ what: deviceFaults.noWebgl, advice: deviceFaults.advice });
   }
   const context = renderer.getContext();
   if (
@@ -18,7 +18,7 @@ export function rendererOn(canvas: HTMLCanvasElement): WebGLRenderer {
     !context.getExtension("EXT_color_buffer_half_float")
   ) {
     renderer.dispose();
-    throw new GraphicsFault(deviceFaults.noHalfFloats);
+    throw new GraphicsFault({ what: deviceFaults.noHalfFloats, advice: deviceFaults.advice });
   }
   renderer.autoClear = false;
   renderer.debug.checkShaderErrors = true;

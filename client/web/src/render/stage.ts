@@ -1,6 +1,7 @@
 /** Draws a bundle under lights: onto a canvas, or into arrays. */
 
 import {
+  type DataTexture,
   HalfFloatType,
   PerspectiveCamera,
   RGBAFormat,
@@ -9,9 +10,7 @@ import {
   type WebGLRenderer,
   WebGLRenderTarget,
 } from "three";
-import type { DataTexture } from "three";
-import type { ShownBundle } from "../bundle/load.js";
-import { closePictures } from "../bundle/pictures.js";
+import { closePictures, type ShownBundle } from "../bundle/load.js";
 import type { PreparedLight } from "../light/prepare.js";
 import { ballOf } from "./ball.js";
 import { groundHeight } from "./contact.js";
@@ -32,7 +31,7 @@ import { aim } from "./projection.js";
 import { rendererOn } from "./renderer.js";
 import { cameraOfPart, type Part, partsOf, shareIn, tilesOf } from "./tiles.js";
 import { BundleTextures, longestSide, splitSumTexture } from "./textures.js";
-import { deviceFaults } from "../words/deviceFaults.js";
+import { deviceFaults, fillIn } from "../words/words.js";
 
 /** One half of the picture, or all of it. */
 export type Side = {
@@ -99,7 +98,7 @@ export class Stage {
     const longest = longestSide(bundle.transport);
     if (longest > maxTextureSize) {
       closePictures(bundle);
-      throw new GraphicsFault(...deviceFaults.textureLimit(maxTextureSize, longest));
+      throw new GraphicsFault(fillIn(deviceFaults.textureLimit, { most: maxTextureSize, needed: longest }));
     }
     const { transport, uncertainty, maps, mesh } = bundle;
     const textures = new BundleTextures(transport, uncertainty, maps, maxTextureSize);
@@ -123,7 +122,7 @@ export class Stage {
     for (let error = gl.getError(); error !== gl.NO_ERROR; error = gl.getError()) {
       if (error !== gl.OUT_OF_MEMORY) continue;
       this.#clear();
-      throw new GraphicsFault(...deviceFaults.memory());
+      throw new GraphicsFault(deviceFaults.memory);
     }
   }
 

@@ -1,7 +1,7 @@
 /** The page behind a share link. */
 
 import { createApi } from "../page/rest.js";
-import { openShare } from "./open.js";
+import { openShare } from "./link.js";
 import { speakAsBrowser, texts } from "../words/words.js";
 
 await speakAsBrowser();

@@ -6,7 +6,7 @@ import { h } from "../page/dom.js";
 import { formatTime } from "../page/format.js";
 import type { Api, Share } from "../page/rest.js";
 import { elementSnippet, frameSnippet, originsIn } from "./snippets.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** The callbacks of the panel. */
 export type ShareContext = {
@@ -51,7 +51,7 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
     const address = h("input", {
       readonly: true,
       value: linkOf(share),
-      "aria-label": texts.share.linkUntil(ends),
+      "aria-label": fillIn(texts.share.linkUntil, { time: ends }),
     });
     address.addEventListener("focus", () => address.select());
     const copy = button(texts.share.copy, context, async () => {
@@ -63,7 +63,7 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
       news.textContent = texts.share.copied;
     });
     const put = (text: string) => async (): Promise<void> => {
-      if (!(await copied(text))) throw new Error(texts.share.copyHere(text));
+      if (!(await copied(text))) throw new Error(fillIn(texts.share.copyHere, { text }));
       news.textContent = texts.share.htmlCopied;
     };
     const view = (): string => context.view?.() ?? "";
@@ -72,7 +72,7 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
       origins.length === 0
         ? []
         : [
-            h("span", { class: "faint" }, texts.share.sites(origins.join(", "))),
+            h("span", { class: "faint" }, fillIn(texts.share.sites, { sites: origins.join(", ") })),
             button(texts.share.copyFrame, context, () => put(frameSnippet(share, view()))()),
             button(texts.share.copyElement, context, () => put(elementSnippet(share, view()))()),
           ];
@@ -81,8 +81,8 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
       news.textContent = texts.share.revoked;
       await load();
     });
-    revoke.setAttribute("aria-label", texts.share.revokeUntil(ends));
-    const expires = h("span", { class: "faint" }, texts.share.expires(ends));
+    revoke.setAttribute("aria-label", fillIn(texts.share.revokeUntil, { time: ends }));
+    const expires = h("span", { class: "faint" }, fillIn(texts.share.expires, { time: ends }));
     return h("li", {}, address, expires, copy, revoke, ...embedding);
   }
 

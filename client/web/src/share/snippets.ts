@@ -4,7 +4,7 @@ import { linkWithView } from "../page/addresses.js";
 import type { Share } from "../page/rest.js";
 import { texts } from "../words/words.js";
 
-/** Return the origins in a text of addresses, in the form that browsers send; what is no address stays as it is. */
+/** Return the origins in a text of addresses, in the form that browsers send; anything else stays as it is. */
 export function originsIn(text: string): string[] {
   const found = text.split(/[\s,]+/).filter((each) => each !== "");
   return [...new Set(found.map(originOf))];

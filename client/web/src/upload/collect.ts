@@ -1,8 +1,8 @@
 /** Dropped or chosen files as the files of one scene. */
 
-import { BundleFault } from "../bundle/fault.js";
+import { BundleFault } from "../page/fault.js";
 import { ZipArchive } from "../bundle/zip.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** A file of a scene whose bytes are read when they are needed. */
 export type SceneFile = {
@@ -41,7 +41,7 @@ export async function collect(chosen: ReadonlyMap<string, File>): Promise<Candid
     for (const [suffix, mediaType] of archives) {
       if (name.endsWith(suffix)) return { kind: "archive", name: plainName(file.name), file, mediaType };
     }
-    throw new NotAScene(texts.upload.notAScene(file.name));
+    throw new NotAScene(fillIn(texts.upload.notAScene, { name: file.name }));
   }
   const { name, inside } = withoutTopFolder(all);
   const files = inside.map(([inner, each]) => ({
@@ -72,7 +72,7 @@ async function zipped(file: File): Promise<Candidate> {
   const entries = [...archive.entries]
     .filter(([path]) => !path.split("/").some((part) => part.startsWith(".") || part === "__MACOSX"))
     .map(([path, { sizeBytes }]) => [path, { stored: path, sizeBytes }] as const);
-  if (entries.length === 0) throw new NotAScene(texts.upload.emptyArchive(file.name));
+  if (entries.length === 0) throw new NotAScene(fillIn(texts.upload.emptyArchive, { name: file.name }));
   const files = withoutTopFolder(entries).inside.map(([path, { stored, sizeBytes }]) => ({
     path,
     sizeBytes,

@@ -1,10 +1,19 @@
 /** Uploads a scene: hashes it, asks which files the server lacks, sends them, and commits the upload. */
 
-import { pause } from "../page/pause.js";
-import { type Api, type PlannedFile, Refused, type Scene, Unreachable } from "../page/rest.js";
+import {
+  type Api,
+  inLines,
+  pause,
+  type PlannedFile,
+  Refused,
+  type Scene,
+  Unreachable,
+} from "../page/rest.js";
 import type { Candidate, SceneFile } from "./collect.js";
 import { type DirectTools, directSender } from "./direct.js";
-import type { Hash } from "./hashing.js";
+
+/** Returns the SHA-256 of a file's bytes, lower-case hexadecimal; rejects where they cannot be read. */
+export type Hash = (blob: Blob) => Promise<string>;
 
 export type UploadStep = {
   readonly what: "hash" | "send" | "wait" | "commit";
@@ -55,6 +64,7 @@ export async function upload(
   let doneBytes = 0;
   const tell = (what: "send" | "wait" | "commit") => tools.onStep({ what, doneBytes, totalBytes, numKnown });
   const send = async ([sha256, file]: [string, SceneFile]) => {
+    tools.signal.throwIfAborted();
     const body = await file.read();
     await patience(tools, () => tell("wait"))(async () => {
       if (!(await direct(sha256, body))) await tools.api.putFile(id, sha256, body, tools.signal);
@@ -63,14 +73,7 @@ export async function upload(
     tell("send");
   };
   tell("send");
-  const queue = [...unique];
-  const worker = async () => {
-    for (let next = queue.shift(); next !== undefined; next = queue.shift()) {
-      tools.signal.throwIfAborted();
-      await send(next);
-    }
-  };
-  await Promise.all(Array.from({ length: parallel }, worker));
+  await inLines(parallel, unique, send);
   tell("commit");
   return patient(() => tools.api.commit(id));
 }

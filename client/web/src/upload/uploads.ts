@@ -1,9 +1,10 @@
 /** The uploads of this tab; they continue while the visitor is in other views. */
 
+import { Questions } from "../page/workers.js";
 import type { Api, Scene } from "../page/rest.js";
 import type { Candidate } from "./collect.js";
-import { startHashing } from "./hashing.js";
-import { type UploadStep, upload } from "./upload.js";
+import type { HashAnswer, HashRequest } from "./hashWorker.js";
+import { type Hash, type UploadStep, upload } from "./upload.js";
 
 /** One upload and how far it is. */
 export type Running = {
@@ -16,6 +17,19 @@ export type Running = {
 };
 
 export type Uploads = ReturnType<typeof createUploads>;
+
+/** Start the worker that hashes files; `close` ends it. */
+function startHashing(): { hash: Hash; close: () => void } {
+  const questions = new Questions<HashRequest, HashAnswer>(
+    new Worker(new URL("./hashWorker.js", import.meta.url), { type: "module" }),
+  );
+  const hash: Hash = async (blob) => {
+    const answer = await questions.ask({ blob });
+    if ("fault" in answer) throw new Error(answer.fault);
+    return answer.sha256;
+  };
+  return { hash, close: () => questions.close() };
+}
 
 /** Return the uploads of a tab. */
 export function createUploads(api: Api, start: typeof startHashing = startHashing) {

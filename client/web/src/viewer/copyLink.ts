@@ -6,7 +6,7 @@ import { button, make } from "./fields.js";
 import { linkOf, missingOf } from "./links.js";
 import type { ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** What copying needs of the interface. */
 export type CopyHost = {
@@ -35,7 +35,7 @@ export async function copyLink(host: CopyHost): Promise<void> {
 export function missingText({ bundle, maps }: ReturnType<typeof missingOf>): string {
   const parts = [...(bundle ? [texts.link.object] : []), ...maps];
   if (parts.length === 0) return "";
-  return texts.link.lacks(parts.length, formatList(parts));
+  return fillIn(texts.link.lacks, { n: parts.length, what: formatList(parts) });
 }
 
 async function copy({ viewer, tell, full }: CopyHost): Promise<void> {
@@ -51,7 +51,11 @@ async function copy({ viewer, tell, full }: CopyHost): Promise<void> {
 
 function askToUpload(host: CopyHost, maps: readonly string[]): void {
   const news = make("p", { className: "hint", role: "alert" });
-  const parts = [missingText({ bundle: false, maps }), texts.link.ask(maps.length), texts.link.askMore];
+  const parts = [
+    missingText({ bundle: false, maps }),
+    fillIn(texts.link.ask, { n: maps.length }),
+    texts.link.askMore,
+  ];
   const upload = button(texts.link.upload, () => {
     upload.disabled = true;
     news.textContent = texts.link.uploading;

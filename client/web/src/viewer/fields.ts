@@ -1,6 +1,6 @@
 /** Plain form fields with labels. */
 
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** A field that shows a value and reports changes by the user. */
 export type Field<T> = { readonly element: HTMLElement; readonly show: (value: T) => void };
@@ -39,7 +39,11 @@ export function slider(
   const limits = { min: String(range[0]), max: String(range[1]), step: String(step) };
   const name = unit === "" ? label : `${label} (${unit})`;
   const track = make("input", { type: "range", ...limits, ariaLabel: name });
-  const entry = make("input", { type: "number", ...limits, ariaLabel: texts.viewer.asNumber(name) });
+  const entry = make("input", {
+    type: "number",
+    ...limits,
+    ariaLabel: fillIn(texts.viewer.asNumber, { name }),
+  });
   const changed = (source: HTMLInputElement) => () => {
     const value = source.valueAsNumber;
     if (!Number.isFinite(value)) return;

@@ -43,7 +43,7 @@ export function freeze(
 
 /** Return the fault of a state that can no longer be drawn, in a film or in a refined picture. */
 export function interrupted(work: "film" | "refine" = "film"): Fault {
-  return new Fault(`${work}.interrupted`, ...texts.viewer.interrupted());
+  return new Fault(`${work}.interrupted`, texts.viewer.interrupted);
 }
 
 /**

@@ -17,7 +17,7 @@ import { viewerSheet } from "./styles.js";
 import { refinedChannels, statusText } from "../refine/status.js";
 import type { Viewer } from "./viewer.js";
 import { Welcome } from "./welcome.js";
-import { locale, texts } from "../words/words.js";
+import { fillIn, locale, texts } from "../words/words.js";
 
 const messageMs = 8000;
 /** Share of the height that controls may take from the picture. */
@@ -106,8 +106,9 @@ export class Interface {
   describe(): void {
     const name = this.viewer.bundle?.name;
     const alt =
-      this.host.getAttribute("alt") ?? (name ? texts.viewer.relightable(name) : texts.viewer.object);
-    this.viewer.canvas.ariaLabel = texts.viewer.canvas(alt);
+      this.host.getAttribute("alt") ??
+      (name ? fillIn(texts.viewer.relightable, { name }) : texts.viewer.object);
+    this.viewer.canvas.ariaLabel = fillIn(texts.viewer.canvas, { object: alt });
   }
 
   /** Show the progress of reading a bundle; a failure is rethrown, and not shown. `again` asks for it anew. */
@@ -144,7 +145,7 @@ export class Interface {
   problem(error: unknown): void {
     if (error instanceof DOMException && error.name === "AbortError") return;
     let text = error instanceof Error ? error.message : String(error);
-    if (error instanceof RangeError) text = texts.viewer.noMemory(text);
+    if (error instanceof RangeError) text = fillIn(texts.viewer.noMemory, { detail: text });
     this.#tell(error instanceof Fault ? `${text} [${error.code}]` : text, true);
   }
 
@@ -243,7 +244,7 @@ export class Interface {
       } else if (dropped.kind === "map") {
         const data = new Uint8Array(await dropped.file.arrayBuffer());
         await this.viewer.update({ environment: this.viewer.lights.addMap(dropped.file.name, data) });
-        this.#tell(texts.viewer.litBy(dropped.file.name), false);
+        this.#tell(fillIn(texts.viewer.litBy, { name: dropped.file.name }), false);
       } else {
         this.act.open(dropped);
       }

@@ -7,7 +7,7 @@ import { listening, make, releases } from "./fields.js";
 import { turnFor } from "./firstTurn.js";
 import { turned, turnedAbout } from "./turning.js";
 import type { Viewer } from "./viewer.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** What the ball asks for. */
 export type BallActions = {
@@ -107,7 +107,10 @@ export function lightBall(viewer: Viewer, act: BallActions, signal: AbortSignal)
     element.ariaValueText =
       towards === null
         ? texts.light.allSides
-        : texts.light.angles(azimuth, deg(Math.asin(Math.min(Math.max(towards[2], -1), 1))));
+        : fillIn(texts.light.angles, {
+            azimuth,
+            elevation: deg(Math.asin(Math.min(Math.max(towards[2], -1), 1))),
+          });
   }
   return { element, show };
 }

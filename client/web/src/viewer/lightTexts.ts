@@ -1,7 +1,7 @@
 /** Display names of lights. */
 
 import type { Viewer } from "./viewer.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** Return all lights that can be chosen now, by their name in the state, and what people read. */
 export function lightTexts(viewer: Viewer): [string, string][] {
@@ -12,7 +12,7 @@ export function lightTexts(viewer: Viewer): [string, string][] {
   return [
     ...trained.map(({ name }): [string, string] => [
       `trained:${name}`,
-      trained.length === 1 ? texts.light.asPhotographed : texts.light.asPhotographedOf(name),
+      trained.length === 1 ? texts.light.asPhotographed : fillIn(texts.light.asPhotographedOf, { name }),
     ]),
     ...Object.entries(texts.light.presets).map(([name, text]): [string, string] => [`preset:${name}`, text]),
     ...viewer.lights.mapNames.map((name): [string, string] => [`file:${name}`, name]),

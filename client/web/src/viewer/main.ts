@@ -2,7 +2,7 @@
 
 import { followAddress } from "./addressBar.js";
 import { defineViewer, type LambentViewerElement } from "./element.js";
-import { speakAsBrowser, texts } from "../words/words.js";
+import { fillIn, speakAsBrowser, texts } from "../words/words.js";
 
 await speakAsBrowser();
 document.title = texts.viewer.page;
@@ -17,7 +17,7 @@ const source = parameters.get("src") ?? new URLSearchParams(location.search).get
 if (source !== null) element.setAttribute("src", source);
 document.querySelector("main")?.append(element);
 element.viewer?.on("load", (bundle) => {
-  document.title = texts.viewer.pageOf(bundle.name);
+  document.title = fillIn(texts.viewer.pageOf, { name: bundle.name });
 });
 if (element.viewer !== null) followAddress(element.viewer, new AbortController().signal);
 // Someone typed another address, or went back to one.

@@ -1,10 +1,10 @@
 /** Where the map of a light comes from. */
 
 import type { LoadedBundle } from "../bundle/load.js";
-import { MapFault } from "../light/fault.js";
+import { MapFault } from "../page/fault.js";
 import type { MapOrigin } from "../light/lightWorker.js";
 import { isPreset } from "./state.js";
-import { mapFaults } from "../words/mapFaults.js";
+import { fillIn, mapFaults } from "../words/words.js";
 
 /** Return the origin of a light by its name in the state; throws MapFault where there is none. */
 export function mapOrigin(
@@ -18,7 +18,7 @@ export function mapOrigin(
   const trained = bundle?.trainedMaps.find((map) => map.name === rest)?.data;
   const data = kind === "trained" ? trained : kind === "file" ? files.get(rest) : undefined;
   if (data === undefined) {
-    throw new MapFault("environment.missing", ...mapFaults.noLight(name));
+    throw new MapFault("environment.missing", fillIn(mapFaults.noLight, { name }));
   }
   return { kind: "bytes", data };
 }

@@ -1,7 +1,7 @@
 /** The picture in place of a viewer that does not draw: while it loads, until it is wanted, or because others draw. */
 
 import { button, make } from "./fields.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** A layer above the canvas. */
 export class Poster {
@@ -43,7 +43,7 @@ export class Poster {
   /** Show the picture; with `asks`, a button that opens the viewer. */
   show(asks: boolean, label: string): void {
     this.#open.hidden = !asks;
-    this.#open.ariaLabel = texts.viewer.show3dOf(label);
+    this.#open.ariaLabel = fillIn(texts.viewer.show3dOf, { name: label });
     this.element.hidden = !asks && !this.isThere;
     this.element.toggleAttribute("data-asks", asks);
   }

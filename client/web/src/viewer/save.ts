@@ -1,7 +1,7 @@
 /** Pictures as files. */
 
 import type { Viewer } from "./viewer.js";
-import { deviceFaults } from "../words/deviceFaults.js";
+import { deviceFaults } from "../words/words.js";
 
 /** Return the view as PNG; tone mapping is not applied twice, and alpha is straight. */
 export function pngOf(viewer: Viewer, width: number, height: number): Promise<Blob> {

@@ -6,7 +6,7 @@ import { type BundleOrigin, secretOf } from "../bundle/source.js";
 import { bundleAt } from "../page/addresses.js";
 import type { Direction } from "../engine/environment.js";
 import { exposureFor } from "../light/exposure.js";
-import { MapFault } from "../light/fault.js";
+import { MapFault } from "../page/fault.js";
 import type { RefinedPicture } from "../refine/accumulation.js";
 import type { Refinement } from "../refine/refinement.js";
 import type { StillHost } from "../refine/still.js";
@@ -24,7 +24,7 @@ import { besidePhotograph } from "./photograph.js";
 import { initialState, limits, type OrbitPose, type ViewerState } from "./state.js";
 import { Stills } from "./stills.js";
 import { mainDirection } from "./turning.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 const stillSamples = 2;
 const stillAfterMs = 150;
@@ -382,7 +382,7 @@ export class Viewer {
         this.#refinement.changed();
         this.#refinement.rest();
       })
-      .catch((error: unknown) => this.#tell("message", texts.refine.failed(String(error)), true));
+      .catch((why) => this.#tell("message", fillIn(texts.refine.failed, { why }), true));
   }
 
   #refineView() {

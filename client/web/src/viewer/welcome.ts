@@ -2,7 +2,7 @@
 
 import { formatSize } from "../page/format.js";
 import { make } from "./fields.js";
-import { texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** The panel over an empty picture. */
 export class Welcome {
@@ -53,7 +53,10 @@ export class Welcome {
   arrived(readBytes: number, totalBytes: number): void {
     this.#progress.value = readBytes / Math.max(totalBytes, 1);
     this.#bytes.hidden = false;
-    this.#bytes.textContent = texts.page.of(formatSize(readBytes), formatSize(totalBytes));
+    this.#bytes.textContent = fillIn(texts.page.of, {
+      part: formatSize(readBytes),
+      whole: formatSize(totalBytes),
+    });
   }
 
   /** The bundle cannot be shown; `retry` asks for it again. */

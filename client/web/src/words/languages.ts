@@ -1,18 +1,13 @@
 /** The languages that are shipped, and which of them is spoken. */
 
-import type { BundleFaults, DeviceFaults, MapFaults, Texts } from "./en.js";
+import type english from "./en.json";
 
 /** All that is said in one language. */
-export type Catalogue = {
-  readonly texts: Texts;
-  readonly bundleFaults: BundleFaults;
-  readonly mapFaults: MapFaults;
-  readonly deviceFaults: DeviceFaults;
-};
+export type Catalogue = typeof english;
 
 /** Languages besides English, each with what fetches its catalogue. */
 const others: Readonly<Record<string, () => Promise<Catalogue>>> = {
-  de: () => import("./de.js"),
+  de: () => import("./de.json"),
 };
 
 export const languages: readonly string[] = ["en", ...Object.keys(others)];
@@ -36,13 +31,13 @@ function canonical(tag: string): string[] {
   }
 }
 
-const listeners = new Set<(catalogue: Catalogue | null) => void>();
-let spoken: Catalogue | null = null;
+/** The language that is spoken, and its catalogue; null for English, which is not fetched. */
+export let language = "en";
+let catalogue: Catalogue | null = null;
 
-/** Call `take` with the catalogue that is spoken from now on, null for English, which is not fetched. */
-export function onSpeech(take: (catalogue: Catalogue | null) => void): void {
-  listeners.add(take);
-  if (spoken !== null) take(spoken);
+/** Return a part of a catalogue whose texts are in the language that is spoken when they are read. */
+export function spoken<Name extends keyof Catalogue>(name: Name, english: Catalogue[Name]): Catalogue[Name] {
+  return new Proxy(english, { get: (_, key) => Reflect.get(catalogue?.[name] ?? english, key) });
 }
 
 /** Whether a tag's language has to be fetched. */
@@ -52,8 +47,8 @@ export function isFetched(tag: string): boolean {
 
 /** Fetch the catalogue of a tag's language and speak it from then on; English where it cannot be fetched. */
 export async function speakAs(tag: string): Promise<void> {
-  spoken = isFetched(tag) ? await others[languageOf(tag)]!().catch(() => null) : null;
-  for (const take of listeners) take(spoken);
+  catalogue = isFetched(tag) ? await others[languageOf(tag)]!().catch(() => null) : null;
+  language = catalogue === null ? "en" : languageOf(tag);
 }
 
 /** Resolves when a worker knows its language, of which the page has given it the name. */

@@ -1,23 +1,27 @@
 /** What the pages say, in the language that was chosen; one for all that is on a page. */
 
-import { type Texts, texts as english } from "./en.js";
-import { chosen, isFetched, onSpeech, speakAs } from "./languages.js";
+import {
+  bundleFaults as bundles,
+  deviceFaults as devices,
+  mapFaults as maps,
+  texts as pages,
+} from "./en.json";
+import { chosen, isFetched, language, speakAs, spoken } from "./languages.js";
 
-/** Read it when something is said: it is English until another catalogue is there. */
-export let texts: Texts = english;
+// Workers say some of them, and contain only those.
+export const texts = /* @__PURE__ */ spoken("texts", pages);
+export const bundleFaults = /* @__PURE__ */ spoken("bundleFaults", bundles);
+export const mapFaults = /* @__PURE__ */ spoken("mapFaults", maps);
+export const deviceFaults = /* @__PURE__ */ spoken("deviceFaults", devices);
 
 /** The tag of the chosen language, for numbers and times: "en-GB". */
 export let locale = "en";
-
-onSpeech((catalogue) => {
-  texts = catalogue?.texts ?? english;
-});
 
 /** Speak the language of a tag from now on, once its catalogue is there. */
 export async function speak(tag: string): Promise<void> {
   await speakAs(tag);
   // Numbers go with the words, also where those could not be fetched.
-  locale = isFetched(tag) && texts === english ? "en" : tag;
+  locale = isFetched(tag) && language === "en" ? "en" : tag;
 }
 
 /** Speak as the browser does, on a page of our own. */
@@ -35,4 +39,24 @@ export function languageOfPage(name: string): string {
 /** Return what a code is called, or the code itself where this page does not know it. */
 export function named(names: Readonly<Record<string, string>>, code: string): string {
   return Object.hasOwn(names, code) ? names[code]! : code;
+}
+
+/** A message by the plural forms of a language for the number `n`; forms that are left out are as `other`. */
+export type Forms = Partial<Record<Intl.LDMLPluralRule, string>> & { readonly other: string };
+
+/** What is wrong, and what to do about it. */
+export type Problem = { readonly what: string; readonly advice: string };
+
+type Values = Readonly<Record<string, string | number>>;
+
+/** Return a message with values in its places; `npm test` compares their names with those of the message. */
+export function fillIn(message: string | Forms, values: Values): string;
+export function fillIn(message: Problem, values: Values): Problem;
+export function fillIn(message: string | Forms | Problem, values: Values): string | Problem {
+  if (typeof message === "string") return message.replace(/\{(\w+)\}/g, (_, name) => String(values[name]));
+  if ("what" in message)
+    return { what: fillIn(message.what, values), advice: fillIn(message.advice, values) };
+  const count = Number(values.n);
+  const form = message[new Intl.PluralRules(language).select(count)] ?? message.other;
+  return fillIn(form, { ...values, n: new Intl.NumberFormat(language).format(count) });
 }

@@ -1,9 +1,8 @@
 import { ALL_FORMATS, BufferSource, EncodedPacketSink, Input } from "mediabunny";
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
-import type { FilmPlan } from "../../src/film/plan.js";
-import { texts } from "../../src/words/en.js";
-import { momentAt, momentOf, planned } from "../../src/film/plan.js";
+import { type FilmPlan, momentAt, momentOf, planned } from "../../src/film/plan.js";
+import { texts } from "../../src/words/words.js";
 import { closePages, sharedChromium } from "../support/chromium.js";
 import { announcements, fixedView, keep, meanDifference, openViewer } from "./support.js";
 

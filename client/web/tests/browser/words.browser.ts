@@ -2,7 +2,7 @@ import { mkdirSync } from "node:fs";
 import { join, resolve } from "node:path";
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
-import * as de from "../../src/words/de.js";
+import de from "../../src/words/de.json";
 import { closePages, sharedChromium } from "../support/chromium.js";
 import { englishOn, overflowing, saidOn } from "../support/englishTexts.js";
 import { openViewer } from "./support.js";

@@ -1,6 +1,6 @@
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
-import * as de from "../../src/words/de.js";
+import de from "../../src/words/de.json";
 import { startChromium } from "../support/chromium.js";
 import { englishOn, overflowing, saidOn } from "../support/englishTexts.js";
 import { JobServer } from "./server.js";

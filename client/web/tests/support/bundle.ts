@@ -3,7 +3,7 @@
 import { createHash } from "node:crypto";
 import { deflateRawSync } from "node:zlib";
 import type { FileSource } from "../../src/bundle/source.js";
-import { BundleFault } from "../../src/bundle/fault.js";
+import { BundleFault } from "../../src/page/fault.js";
 
 type Bytes = Uint8Array<ArrayBuffer>;
 export type Manifest = {
@@ -185,7 +185,7 @@ export function sourceOf(bundle: TinyBundle): FileSource {
     paths: new Set(files.keys()),
     read: async (path) => {
       const data = files.get(path);
-      if (data === undefined) throw new BundleFault("bundle.file_missing", path, "");
+      if (data === undefined) throw new BundleFault("bundle.file_missing", { what: path, advice: "" });
       return data;
     },
   };

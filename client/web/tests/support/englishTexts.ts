@@ -1,8 +1,8 @@
 /** English on pages that speak another language. */
 
 import type { Page } from "playwright-core";
-import * as de from "../../src/words/de.js";
-import * as en from "../../src/words/en.js";
+import de from "../../src/words/de.json";
+import en from "../../src/words/en.json";
 
 function sentences(value: unknown): string[] {
   if (typeof value === "string") return [value.trim()];

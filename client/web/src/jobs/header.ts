@@ -1,10 +1,10 @@
-/** Who has signed in, and the organisation whose things the page shows. */
+/** What the head of the page says: who has signed in for which organisation, and what the operators announce. */
 
 import { h } from "../page/dom.js";
-import type { Api, Me } from "../page/rest.js";
+import type { Api, Me, Schemas } from "../page/rest.js";
 import { texts } from "../words/words.js";
 
-/** Return what to show of somebody; nothing where a one-time link was opened. */
+/** Return the name of a user, and a choice of organisations; nothing where a one-time link was opened. */
 export function accountParts(me: Me, choose: (organisation: string) => void): readonly (Node | string)[] {
   if (me.user_id === null) return [];
   if (me.organisations.length < 2) return [`${me.name} · ${me.organisation_name}`];
@@ -18,7 +18,7 @@ export function accountParts(me: Me, choose: (organisation: string) => void): re
   return [`${me.name} · `, select];
 }
 
-/** Fill an element; `switched` is called once the server goes on with another organisation. */
+/** Fill an element; `switched` is called once the server has changed to another organisation. */
 export async function showAccount(
   element: HTMLElement,
   { api, fail }: { readonly api: Pick<Api, "me" | "switchTo">; readonly fail: (error: unknown) => void },
@@ -28,4 +28,12 @@ export async function showAccount(
     api.switchTo(organisation).then(switched).catch(fail);
   };
   element.replaceChildren(...accountParts(await api.me(), choose));
+}
+
+/** Return the sentences to show, the operators' own words last; "" if there is nothing to say. */
+export function noticeText({ maintenance, drain }: Schemas["Notices"]): string {
+  const told = maintenance ?? drain;
+  if (told === null) return "";
+  const sentence = maintenance === null ? texts.notices.drain : texts.notices.maintenance;
+  return `${sentence} ${told.message}`.trim();
 }
