@@ -8,6 +8,7 @@ import pytest
 from lambent_server.api.pagination import PageFilter
 from lambent_server.database.schema import scenes
 from lambent_server.database.tenancy import change
+from lambent_server.jobs import queries as job_queries
 from lambent_server.jobs.pages import Wanted
 from sqlalchemy import event
 from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
