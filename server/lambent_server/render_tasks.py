@@ -1,5 +1,6 @@
 """The input of the runs of a picture order: their files and their task."""
 
+import json
 from collections.abc import Iterator, Sequence
 
 from lambent_proto.v1 import render_pb2, worker_pb2
@@ -10,7 +11,6 @@ from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.input_files import bundle_inputs, environment_input, input_file
 from lambent_server.job_rows import SUCCEEDED, Job, owner
 from lambent_server.render_rows import Row, is_summary, newest_jobs, require_order
-from lambent_server.rest_json import from_rest
 
 PART_FILES = ("pictures.jsonl", "tiles.zip")
 """Artifacts of every part from which the summary job creates the table and the contact sheet."""
@@ -27,9 +27,7 @@ def describe_task(
     tenant = owner(job)
     row = require_order(connection, tenant, job["order_id"], job["kind"])
     spec = row["spec"]
-    task = render_pb2.RenderTask(
-        spec=from_rest(render_pb2.RenderSpec, spec), shard=job["shard"], num_shards=row["num_shards"]
-    )
+    task = render_pb2.RenderTask(spec=json.dumps(spec), shard=job["shard"], num_shards=row["num_shards"])
     files = []
     if is_summary(job, row["num_shards"]):
         parts = newest_jobs(connection, tenant, row["id"])[: row["num_shards"]]

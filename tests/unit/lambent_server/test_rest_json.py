@@ -1,4 +1,4 @@
-"""What REST shows of a message equals the message, both ways."""
+"""What REST shows of a message equals the message."""
 
 import json
 from typing import Any
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lambent_proto.v1 import bundle_pb2, capture_pb2, evaluation_pb2, job_pb2, scene_pb2
 from lambent_server import messages
 from lambent_server.app import describe
-from lambent_server.rest_json import enum_number, enum_text, from_rest, to_rest
+from lambent_server.rest_json import enum_text, to_rest
 
 MIRRORED = [
     (job_pb2.Progress, messages.Progress),
@@ -69,17 +69,6 @@ def any_message(draw: Any, kind: type[Message]) -> Message:
 
 
 @pytest.mark.parametrize("kind", ALL)
-def test_a_message_comes_back_from_its_rest_object(kind: type[Message]):
-    @settings(max_examples=25, deadline=None)
-    @given(any_message(kind))
-    def check(message: Message) -> None:
-        shown = json.loads(json.dumps(to_rest(message)))
-        assert from_rest(kind, shown) == message
-
-    check()
-
-
-@pytest.mark.parametrize("kind", ALL)
 def test_the_rest_object_is_protojson_but_for_enumerations_and_unset_messages(kind: type[Message]):
     def compare(shown: Any, proto: Any) -> None:
         if isinstance(shown, dict):
@@ -125,10 +114,7 @@ def test_an_order_for_a_job_has_the_fields_of_its_message():
 
 def test_enumerations_are_words():
     assert enum_text(job_pb2.JobState, job_pb2.JOB_STATE_RETRY_WAIT) == "retry_wait"
-    assert enum_number(job_pb2.JobState, "retry_wait") == job_pb2.JOB_STATE_RETRY_WAIT
     assert enum_text(scene_pb2.Severity, 0) == ""
-    with pytest.raises(KeyError):
-        enum_number(job_pb2.JobState, "asleep")
 
 
 def test_sizes_are_integers():

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from google.protobuf.json_format import ParseDict
+from lambent_proto.pictures import RenderQuality, RenderSpec
 from lambent_proto.v1 import job_pb2, render_pb2, worker_pb2
 from lambent_relight import cameras_json, turntable, write_environment
-from lambent_relight.batch.manifest import DEFAULT_PATH, Cameras, Files, Quality
+from lambent_relight.batch.manifest import Cameras, Files
 from lambent_relight.batch.plan import make_plan
 from lambent_worker.errors import IncompleteError, Stopped, UsageError
 from lambent_worker.job import render as render_job
@@ -55,7 +55,7 @@ def spec(**changes):
         "qualities": [QUALITY],
         "output": {"files": ["png", "exr"], "passes": ["normal"], "half": True},
     }
-    return ParseDict({**document, **changes}, render_pb2.RenderSpec())
+    return RenderSpec.model_validate({**document, **changes}).model_dump_json()
 
 
 def order_of(inputs, run_dir, reporter, order=None, shard=0, num_shards=1):
@@ -88,23 +88,22 @@ def test_an_order_becomes_the_manifest_that_it_means(inputs):
         spec(
             cameras=cameras,
             assets=[{**ASSET, "material": material}],
-            output={"files": ["exr"], "path": "{camera}"},
+            output={"files": ["exr"], "passes": ["normal"], "half": False, "path": "{camera}"},
         ),
         inputs,
     )
     low, named, every, given = found.cameras
     assert low == Cameras(name="low", turntable=2, elevation_deg=0.0, size=8)
-    assert named == Cameras(views=("turntable_001",))
+    assert named == Cameras(views=["turntable_001"])
     assert every == Cameras(all_views=True)
     assert given.poses[0].width == 4
     (asset,) = found.assets
-    assert asset.path == inputs / "bundles" / "bundle_1"
+    assert asset.bundle == inputs / "bundles" / "bundle_1"
     assert asset.edit.albedo == (0.0, 0.0, 0.0), "black is a colour, not none"
     assert asset.edit.roughness_scale == 0.0
-    assert found.environments[0].path == inputs / "environments" / "env_1.exr"
-    assert found.qualities == (Quality(name="quick", spp=2, antialias=1),)
-    assert found.files == Files(suffixes=("exr",), passes=(), half=False, path="{camera}")
-    assert render_job.manifest_of(spec(), inputs).files.path == DEFAULT_PATH
+    assert found.environments[0].map == inputs / "environments" / "env_1.exr"
+    assert found.qualities == [RenderQuality(name="quick", spp=2, antialias=1)]
+    assert found.files == Files(files=["exr"], passes=["normal"], half=False, path="{camera}")
 
 
 def test_pictures_table_sheet_and_records_are_artifacts(inputs, tmp_path):
@@ -216,7 +215,7 @@ def test_inputs_in_a_relative_folder_are_found(inputs, tmp_path, monkeypatch):
 
 
 def test_an_order_that_no_manifest_may_hold_fails(inputs, tmp_path):
-    order = spec(qualities=[{**QUALITY, "spp": 1}])
+    order = spec().replace('"spp":2', '"spp":1')
     with pytest.raises(UsageError, match=r"render\.spec_invalid"):
         render_job.render_pictures(order_of(inputs, tmp_path / "run", RecordingReporter(), order))
 
