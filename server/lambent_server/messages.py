@@ -156,7 +156,7 @@ class SceneReportAnswer(SceneReport):
 
 
 class JobOrder(Given):
-    """What a job is to do; mirrors lambent_proto.v1.JobSpec."""
+    """What a job is to do."""
 
     scene_id: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
     preset: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")] = "fast"

@@ -24,7 +24,6 @@ MIRRORED = [
 ]
 ALL = [
     *(message for message, _ in MIRRORED),
-    job_pb2.JobSpec,
     job_pb2.CheckpointManifest,
     scene_pb2.SceneManifest,
     bundle_pb2.BundleManifest,
@@ -106,10 +105,6 @@ def test_a_rest_model_takes_its_message_and_gives_it_back(kind: type[Message], m
 
     check()
     assert list(model.model_fields) == [field.name for field in kind.DESCRIPTOR.fields]
-
-
-def test_an_order_for_a_job_has_the_fields_of_its_message():
-    assert set(messages.JobOrder.model_fields) == {field.name for field in job_pb2.JobSpec.DESCRIPTOR.fields}
 
 
 def test_enumerations_are_words():

@@ -44,9 +44,9 @@ def render_pictures(order: "Order") -> None:
     (`render.spec_invalid`) for an order that cannot be meant and (`render.all_failed`) when no picture could
     be made.
     """
-    shard, num_shards = order.render.shard, order.render.num_shards
+    shard, num_shards = order.start.render.shard, order.start.render.num_shards
     try:
-        manifest = manifest_of(order.render.spec, order.scene_dir)
+        manifest = manifest_of(order.start.render.spec, order.scene_dir)
         plan = part_of(make_plan(manifest), shard, num_shards) if shard < num_shards else None
     except (ManifestError, RelightError) as error:
         raise UsageError("render.spec_invalid", f"{error.message}; {error.advice}") from error
@@ -80,7 +80,7 @@ def sum_up(order: "Order", manifest: Manifest) -> None:
         for part in parts
         for record in read_records(part / JOURNAL)
     ]
-    for each in order.render.failures:
+    for each in order.start.render.failures:
         failure = Failure(path=each.path, code=each.code, message=each.message)
         results.append(Result(path=failure.path, state="failed", failure=failure))
     _require_any(results)
@@ -88,7 +88,7 @@ def sum_up(order: "Order", manifest: Manifest) -> None:
     _summary(order.reporter, folder, results, manifest, tile_of)
     num = len(results)
     order.reporter.progress(Progress(stage=SUMMARY_STAGE, step=num, num_steps=num, fraction=1.0))
-    num_shards = order.render.num_shards
+    num_shards = order.start.render.num_shards
     num_failed = num_shards - len(parts)
     if num_failed:
         raise IncompleteError(
@@ -221,7 +221,7 @@ def _publish(order: "Order", folder: Path, results: list[Result], manifest: Mani
             for made in result.record.files.values():
                 reporter.artifact(made.path, folder / made.path)
     reporter.artifact(JOURNAL, folder / JOURNAL)
-    if order.render.num_shards > 1:
+    if order.start.render.num_shards > 1:
         reporter.artifact(tiles.NAME, tiles.write_tiles(folder, results))
     else:
         _summary(reporter, folder, results, manifest)

@@ -214,7 +214,7 @@ def test_a_run_is_told_its_part_and_the_files_that_it_needs(stage: Stage, tmp_pa
     stage.controller.turn()
     for shard, job_id in enumerate(batch["job_ids"][:2]):
         start = stage.call("Start", job_id)
-        assert start.spec.kind == "batch"
+        assert start.kind == "batch"
         assert not start.check_scene
         assert [file.path for file in start.files] == [
             "bundles/bundle_x/cameras.json",

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from lambent_proto.pictures import RenderQuality, RenderSpec
-from lambent_proto.v1 import job_pb2, render_pb2, worker_pb2
+from lambent_proto.v1 import render_pb2, worker_pb2
 from lambent_relight import cameras_json, turntable, write_environment
 from lambent_relight.batch.manifest import Cameras, Files
 from lambent_relight.batch.plan import make_plan
@@ -62,13 +62,14 @@ def order_of(inputs, run_dir, reporter, order=None, shard=0, num_shards=1):
     """Return what a run is given."""
     run_dir.mkdir(parents=True, exist_ok=True)
     return Order(
-        spec=job_pb2.JobSpec(kind="batch"),
+        start=worker_pb2.StartResponse(
+            kind="batch",
+            device="cpu",
+            render=render_pb2.RenderTask(spec=order or spec(), shard=shard, num_shards=num_shards),
+        ),
         scene_dir=inputs,
         run_dir=run_dir,
-        device="cpu",
-        adjustments=worker_pb2.Adjustments(),
         reporter=reporter,
-        render=render_pb2.RenderTask(spec=order or spec(), shard=shard, num_shards=num_shards),
     )
 
 
@@ -154,7 +155,7 @@ def test_what_sums_up_the_parts_makes_the_table_and_sheet_of_one_run(inputs, tmp
         (tmp_path / "last" / "environments" / path.name).write_bytes(path.read_bytes())
     whole = RecordingReporter()
     last = order_of(tmp_path / "last", tmp_path / "run", whole, order, 2, 2)
-    last.render.failures.extend(failures)
+    last.start.render.failures.extend(failures)
     with pytest.raises(IncompleteError, match=r"render\.parts_failed: 1 of 2 parts"):
         render_job.render_pictures(last)
     one, several = artifacts(alone), artifacts(whole)
@@ -199,7 +200,7 @@ def test_what_sums_up_parts_that_have_all_failed_fails_as_they_did(inputs, tmp_p
     reporter = RecordingReporter()
     last = order_of(inputs, tmp_path / "run", reporter, spec(), 2, 2)
     for shard in range(2):
-        last.render.failures.add(path=f"job_{shard}/*", code="environment.x", message="broken")
+        last.start.render.failures.add(path=f"job_{shard}/*", code="environment.x", message="broken")
     with pytest.raises(UsageError, match=r"render\.all_failed: .*environment\.x: broken"):
         render_job.render_pictures(last)
     assert not artifacts(reporter), "a table and a sheet of nothing are not made"
