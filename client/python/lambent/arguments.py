@@ -46,9 +46,9 @@ def text_list(value: object, name: str) -> list[str]:
 
 
 def _entries(value: object, name: str, advice: str) -> Sequence[Any]:
-    if isinstance(value, str):
+    if isinstance(value, str) or not isinstance(value, Sequence):
         raise _refused(name, value, advice)
-    return instance(value, Sequence, name, advice)
+    return value
 
 
 def file_path(value: object, name: str) -> Path:
@@ -83,7 +83,9 @@ def seconds(value: object, name: str) -> float:
 
 def texts(value: object, name: str) -> dict[str, str]:
     """Return a mapping of strings to strings; None stands for an empty one."""
-    given = instance({} if value is None else value, Mapping, name, "give a mapping of strings to strings")
+    given = {} if value is None else value
+    if not isinstance(given, Mapping):
+        raise _refused(name, value, "give a mapping of strings to strings")
     for key, entry in given.items():
         if not isinstance(key, str) or not isinstance(entry, str):
             raise _refused(f"{name}[{key!r}]", entry, "give names and values as strings, numbers too")

@@ -10,6 +10,8 @@ from lambent_relight.environment.layouts import LATLONG, LAYOUTS
 from lambent_relight.environment.maps import Environment, load_environment
 from lambent_relight.environment.sun_clamp import ClampReport, clamp_sun
 
+__all__ = ["EnvironmentInput", "OpenedEnvironment", "open_environment"]
+
 
 @dataclass(frozen=True)
 class OpenedEnvironment:
