@@ -17,6 +17,7 @@ from pydantic import (
     field_validator,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 
 def _whole(value: Any) -> Any:
@@ -163,6 +164,10 @@ class RenderCamera(Wanted):
     camera_to_world: Annotated[list[Finite], Field(min_length=16, max_length=16)]
 
 
+UNCLEAR = "cameras_unclear"
+"""Type of the error for cameras that no schema of single fields can refuse."""
+
+
 class RenderCameras(Wanted):
     """Some cameras; exactly one of turntable, views, all_views and poses selects them."""
 
@@ -186,13 +191,15 @@ class RenderCameras(Wanted):
     def _check_place(cls, value: float | None, info: ValidationInfo) -> float | None:
         default = cls.model_fields[str(info.field_name)].default
         if value != default and info.data.get("turntable") == 0:
-            raise ValueError("this places a turntable and has no meaning here")
+            raise PydanticCustomError(UNCLEAR, "this places a turntable and has no meaning here")
         return value
 
     @model_validator(mode="after")
     def _check_source(self) -> "RenderCameras":
         if bool(self.turntable) + bool(self.views) + self.all_views + bool(self.poses) != 1:
-            raise ValueError("exactly one of turntable, views, all_views and poses is needed")
+            raise PydanticCustomError(
+                UNCLEAR, "exactly one of turntable, views, all_views and poses is needed"
+            )
         return self
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from lambent_proto.pictures import (
+    UNCLEAR,
     Entries,
     EnvironmentInput,
     RenderAsset,
@@ -20,6 +21,7 @@ from lambent_proto.pictures import (
     safe_name,
 )
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, model_validator
+from pydantic_core import PydanticCustomError
 
 from lambent_relight.edits import MaterialEdit
 
@@ -102,7 +104,9 @@ class Cameras(RenderCameras):
     def _check_source(self) -> "Cameras":
         kinds = [name for name in ("turntable", "file", "all_views", "poses") if getattr(self, name)]
         if len(kinds) + bool(self.views) != 1 and not (kinds == ["file"] and self.views):
-            raise ValueError("exactly one of turntable, file, views, all_views and poses is needed")
+            raise PydanticCustomError(
+                UNCLEAR, "exactly one of turntable, file, views, all_views and poses is needed"
+            )
         return self
 
 
