@@ -116,6 +116,17 @@ def test_a_list_of_angles_is_as_many_environments():
     ]
 
 
+def test_places_of_environments_are_those_of_the_document_however_many_each_stands_for():
+    lights = [{"map": "sky.exr", "rotate_deg": [0, 90]}, {"map": "b.exr", "axes": "unreal"}]
+    assert list(problems(environments=lights)) == ["/environments/1/axes"]
+    found = read_manifest({**SMALL, "environments": [lights[0], "b.exr"]}, BASE)
+    assert [found.light_pointer(index) for index in range(3)] == [
+        "/environments/0",
+        "/environments/0",
+        "/environments/1",
+    ]
+
+
 @pytest.mark.parametrize(
     ("changes", "pointer", "word"),
     [
