@@ -34,6 +34,7 @@ from lambent_server.routes import (
     people,
     provenance,
     renders,
+    retry,
     scenes,
     sign_in,
     webhooks,
@@ -61,7 +62,18 @@ def _bare(services: Services | None) -> FastAPI:
     app.state.services = services
     errors.install(app)
     modules = (
-        *(scenes, direct_uploads, jobs, renders, events, bundles, files, environments, about, login, keys),
+        scenes,
+        direct_uploads,
+        jobs,
+        retry,
+        renders,
+        events,
+        bundles,
+        files,
+        environments,
+        about,
+        login,
+        keys,
         webhooks,
         people,
         sign_in,

@@ -2,22 +2,17 @@
 
 from collections.abc import Sequence
 from typing import Any
-from urllib.parse import quote
 
 from sqlalchemy import Connection, func
 
 from lambent_server import label_rows
 from lambent_server.bundle_messages import Bundle, BundleDetail, BundleFile
+from lambent_server.bundle_pictures import file_url, thumbnail_urls
 from lambent_server.change_messages import BundleChange
 from lambent_server.clock import rfc3339
 from lambent_server.database.schema import bundle_files, bundles, scenes
 from lambent_server.database.tenancy import Tenant, change, find, rows
 from lambent_server.problems import not_found
-
-SMALL_FIRST = ("thumbnail.webp", "poster.webp")
-"""Pictures that were made to stand for the object, for a card in a list."""
-LARGE_FIRST = SMALL_FIRST[::-1]
-"""The same for a page that shows the object alone."""
 
 
 def require_bundle(
@@ -73,36 +68,7 @@ def show_all(connection: Connection, tenant: Tenant, found: Sequence[Any]) -> li
     ]
 
 
-def thumbnail_urls(connection: Connection, tenant: Tenant, identifiers: Sequence[str]) -> dict[str, str]:
-    """Return the address of the picture for a card of each bundle that has one."""
-    found = pictures(connection, tenant, identifiers, SMALL_FIRST)
-    return {bundle_id: _file_url(bundle_id, file["path"]) for bundle_id, file in found.items()}
 
-
-def pictures(
-    connection: Connection, tenant: Tenant, identifiers: Sequence[str], posters: tuple[str, ...]
-) -> dict[str, Any]:
-    """Return the file that stands for each bundle that has one: path, hash and size.
-
-    That is the first of `posters`, or in bundles from before there were any the first rendering of a view.
-    """
-    path = bundle_files.c.path
-    renderings = (path.like("preview/%.png")) & (path.not_like("preview/photo\\_%", escape="\\"))
-    statement = rows(tenant, bundle_files).where(
-        bundle_files.c.bundle_id.in_(identifiers), path.in_(posters) | renderings
-    )
-
-    def rank(file: Any) -> tuple[int, str]:
-        return posters.index(file["path"]) if file["path"] in posters else len(posters), file["path"]
-
-    found: dict[str, Any] = {}
-    for file in sorted(connection.execute(statement).mappings(), key=rank):
-        found.setdefault(file["bundle_id"], file)
-    return found
-
-
-def _file_url(bundle_id: str, path: str) -> str:
-    return f"/v1/bundles/{bundle_id}/files/{quote(path)}"
 
 
 def show_files(connection: Connection, tenant: Tenant, row: Any) -> BundleDetail:
@@ -112,7 +78,7 @@ def show_files(connection: Connection, tenant: Tenant, row: Any) -> BundleDetail
     files = [
         BundleFile(
             **{name: each[name] for name in ("path", "sha256", "size_bytes", "media_type")},
-            url=_file_url(row["id"], each["path"]),
+            url=file_url(row["id"], each["path"]),
         )
         for each in found
     ]

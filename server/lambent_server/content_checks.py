@@ -20,22 +20,16 @@ from typing import Any
 import obstore
 import structlog
 from obstore.exceptions import BaseError, NotFoundError
-from prometheus_client import Counter
 from sqlalchemy import Connection
 from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server import claims
+from lambent_server.metrics import BLOBS_DAMAGED, CHECKED_BYTES
 from lambent_server.outages import report
 from lambent_server.s3 import StoreUnavailableError
 
 log = structlog.get_logger()
 
-BLOBS_DAMAGED = Counter(
-    "lambent_blobs_damaged_total", "Files of the store whose bytes did not match their hash.", registry=None
-)
-CHECKED_BYTES = Counter(
-    "lambent_checked_bytes_total", "Bytes of the store that were compared with their hashes.", registry=None
-)
 BLOBS = "blobs"
 GZIP = "gzip"
 """Folders of the store: blobs, and compressed copies of some of them under the blob's name."""

@@ -8,10 +8,11 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from lambent_server import bake_rows, bundle_rows, job_counts, label_rows
+from lambent_server import bake_rows, job_counts, label_rows
 from lambent_server.accounts import quotas
 from lambent_server.accounts.makers import columns_of, maker_of
 from lambent_server.accounts.who import NOBODY, Maker
+from lambent_server.bundle_pictures import thumbnail_urls
 from lambent_server.change_messages import JobChange
 from lambent_server.clock import new_id, now, rfc3339
 from lambent_server.database.schema import job_labels, jobs, scenes
@@ -90,7 +91,7 @@ def show_all(connection: Connection, tenant: Tenant, found: Sequence[Any]) -> li
     known = connection.execute(rows(tenant, scenes, *columns).where(scenes.c.id.in_(wanted))).mappings()
     by_id = {scene["id"]: scene for scene in known}
     results = [row["bundle_id"] for row in found if row["bundle_id"]]
-    made = bundle_rows.thumbnail_urls(connection, tenant, results) if results else {}
+    made = thumbnail_urls(connection, tenant, results) if results else {}
     return [_show(row, by_id.get(row["scene_id"]), made.get(row["bundle_id"])) for row in found]
 
 

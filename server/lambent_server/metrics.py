@@ -1,21 +1,7 @@
-"""Metrics for Prometheus."""
+"""What one server counts for Prometheus."""
 
-import shutil
-from collections.abc import Iterator
-
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
-from prometheus_client.core import GaugeMetricFamily
+from prometheus_client import Counter, Gauge, Histogram
 from prometheus_client.registry import Collector
-from sqlalchemy import func
-
-from lambent_server import job_counts
-from lambent_server.clock import now
-from lambent_server.content_checks import BLOBS_DAMAGED, CHECKED_BYTES
-from lambent_server.database.schema import jobs
-from lambent_server.database.tenancy import across_tenants
-from lambent_server.job_rows import FINAL, QUEUED, UNFINISHED, in_state
-from lambent_server.service_metrics import ATTEMPTS, Told
-from lambent_server.services import Services
 
 REQUEST_SECONDS = Histogram(
     "lambent_request_seconds",
@@ -45,7 +31,16 @@ WORKER_CALLS_REFUSED = Counter(
     ["reason"],
     registry=None,
 )
-_METRICS: tuple[Collector, ...] = (
+BLOBS_DAMAGED = Counter(
+    "lambent_blobs_damaged_total", "Files of the store whose bytes did not match their hash.", registry=None
+)
+CHECKED_BYTES = Counter(
+    "lambent_checked_bytes_total", "Bytes of the store that were compared with their hashes.", registry=None
+)
+WEBHOOK_ATTEMPTS = Counter(
+    "lambent_webhook_attempts_total", "Attempts to deliver webhooks, by outcome.", ["outcome"], registry=None
+)
+COUNTED: tuple[Collector, ...] = (
     WORKER_CALLS_REFUSED,
     REQUEST_SECONDS,
     OPEN_STREAMS,
@@ -57,38 +52,7 @@ _METRICS: tuple[Collector, ...] = (
     RUNS_FAILED,
     UPLOAD_BYTES,
     DIRECT_BYTES,
+    WEBHOOK_ATTEMPTS,
     BLOBS_DAMAGED,
     CHECKED_BYTES,
 )
-
-
-class _State(Collector):
-    """A collector that reads the database and the disk at the time of the request."""
-
-    def __init__(self, services: Services) -> None:
-        self._services = services
-
-    def collect(self) -> Iterator[GaugeMetricFamily]:
-        """Yield the metrics."""
-        with self._services.database.read() as connection:
-            counts = job_counts.of_all_tenants(connection)
-            queued = across_tenants(jobs, func.min(jobs.c.created_at)).where(in_state(QUEUED))
-            first = connection.execute(queued).scalar_one()
-        family = GaugeMetricFamily("lambent_jobs", "Jobs by state.", labels=["state"])
-        for state in sorted({*UNFINISHED, *FINAL, *counts}):
-            family.add_metric([state], counts.get(state, 0))
-        yield family
-        oldest = 0.0 if first is None else now() - first
-        yield GaugeMetricFamily("lambent_oldest_queued_seconds", "Age of the oldest queued job.", oldest)
-        free = shutil.disk_usage(self._services.settings.data).free
-        yield GaugeMetricFamily("lambent_disk_free_bytes", "Free space of the data folder.", free)
-
-
-def registry(services: Services) -> CollectorRegistry:
-    """Return the metrics of one server."""
-    result = CollectorRegistry()
-    for metric in (*_METRICS, ATTEMPTS):
-        result.register(metric)
-    result.register(_State(services))
-    result.register(Told(services.database))
-    return result

@@ -13,8 +13,8 @@ import httpx2
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
+from lambent_server.metrics import WEBHOOK_ATTEMPTS
 from lambent_server.outages import report
-from lambent_server.service_metrics import ATTEMPTS
 from lambent_server.services import Services
 from lambent_server.settings import Settings
 from lambent_server.webhook_claims import Outcome, claim, release, settle
@@ -106,7 +106,7 @@ class Sender:
             return
         finally:
             self._places.leave(row["tenant_id"], row["host"])
-        ATTEMPTS.labels(outcome.error or "delivered").inc()
+        WEBHOOK_ATTEMPTS.labels(outcome.error or "delivered").inc()
         log.info(
             "webhook_attempt",
             tenant=row["tenant_id"],

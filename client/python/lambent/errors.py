@@ -7,21 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-
-class LambentError(Exception):
-    """An error a user can fix: `code` is stable, `advice` says what to do next."""
-
-    exit_code = 1
-
-    def __init__(self, code: str, message: str, advice: str = "") -> None:
-        super().__init__(message)
-        self.code = code
-        self.message = message
-        self.advice = advice
-
-    def __str__(self) -> str:
-        """Return code, finding and advice in one line."""
-        return f"{self.code}: {self.message}" + (f"; {self.advice}" if self.advice else "")
+from lambent_core.errors import LambentError
 
 
 class UsageProblemError(LambentError):

@@ -13,6 +13,7 @@ import OpenEXR
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
+from lambent_core.colour import srgb_from_linear
 from lambent_relight import cryptomatte
 from lambent_relight.aovs import ATTRIBUTES, FULL_PRECISION, OBJECT_NAME, as_written_now, exr_channels
 from lambent_relight.arguments import file_path, instance
@@ -21,17 +22,6 @@ from lambent_relight.picture import RelitPicture
 from lambent_relight.tone_mapping import tone_mapped
 
 _MADE_BY = "give what Renderer.render returns"
-
-
-def srgb_from_linear(linear: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return sRGB-encoded values of linear ones, both clipped to [0, 1]."""
-    clipped = np.clip(linear, 0.0, 1.0)
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
-
-
-def linear_from_srgb(encoded: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return linear values of sRGB-encoded ones in [0, 1]."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def encode_png(picture: RelitPicture, *, tone_mapping: str = "linear") -> NDArray[np.uint8]:

@@ -14,12 +14,12 @@ from lambent_server.clock import rfc3339
 from lambent_server.database.tenancy import Tenant
 from lambent_server.health import NOTICES
 from lambent_server.messages import PresetList
-from lambent_server.metrics import registry
 from lambent_server.paths import SCENE_SUFFIXES
 from lambent_server.routes.common import ServicesOf, TenantOf, problems
 from lambent_server.routes.resources import ResourceRoute
 from lambent_server.routes.sign_in import sign_in_url
 from lambent_server.server_state import DRAIN, MAINTENANCE, read
+from lambent_server.service_metrics import registry
 from lambent_server.services import Services
 
 router = APIRouter(tags=["about"], route_class=ResourceRoute)

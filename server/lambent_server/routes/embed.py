@@ -8,7 +8,8 @@ from sqlalchemy import Connection
 from starlette.exceptions import HTTPException
 
 from lambent_server import shares
-from lambent_server.bundle_rows import LARGE_FIRST, pictures, require_bundle, show
+from lambent_server.bundle_pictures import LARGE_FIRST, pictures
+from lambent_server.bundle_rows import require_bundle, show
 from lambent_server.database.tenancy import Tenant
 from lambent_server.routes.blob_responses import Asked, send_blob
 from lambent_server.routes.common import Id, ServicesOf

@@ -10,15 +10,14 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import PlainTextResponse
 from pydantic import Field
 
-from lambent_server import job_queries, removals, render_rows, run_logs
+from lambent_server import job_queries, removals, run_logs
 from lambent_server.accounts import audit
 from lambent_server.change_messages import JobChange
 from lambent_server.database.schema import artifacts, events
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.estimates import estimate
 from lambent_server.feed import Feed, Subscription
-from lambent_server.idempotency import made_before, point_to
-from lambent_server.job_rows import CANCELLED, FAILED, FINAL, SUCCEEDED
+from lambent_server.job_rows import FAILED, FINAL, SUCCEEDED
 from lambent_server.messages import (
     Artifact,
     ArtifactList,
@@ -34,7 +33,7 @@ from lambent_server.messages import (
 from lambent_server.pagination import FilePageFilter, LabelFilter, LongPageFilter, select_ordered
 from lambent_server.problems import conflict
 from lambent_server.routes.common import Id, ServicesOf, TenantOf, WhoOf, problems, require_key
-from lambent_server.routes.resources import IdempotencyKey, IfMatch, ResourceRoute, digest_of, require_match
+from lambent_server.routes.resources import IdempotencyKey, IfMatch, ResourceRoute, require_match
 from lambent_server.services import Services
 
 router = APIRouter(tags=["jobs"], route_class=ResourceRoute)
@@ -187,32 +186,6 @@ def cancel_job(services: ServicesOf, tenant: TenantOf, who: WhoOf, job_id: Id) -
         job_queries.cancel(connection, job)
         shown = job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, job_id))
         audit.record(connection, who, "cancel_job", job_id)
-    services.wakeups.signal()
-    return shown
-
-
-@router.post("/v1/jobs/{job_id:id}:retry", status_code=202, responses=problems(404, 409, 422, 429, 507))
-def retry_job(
-    services: ServicesOf, tenant: TenantOf, who: WhoOf, job_id: Id, key: IdempotencyKey = None
-) -> Job:
-    """Queue a new job with the request of one that failed or was cancelled; the old one stays unchanged."""
-    services.require_disk()
-    with services.database.write() as connection:
-        known = made_before(connection, tenant, key, digest_of("retry", job_id), "")
-        if known is not None:
-            return job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, known))
-        job = job_queries.require_job(connection, tenant, job_id)
-        if job["state"] not in (FAILED, CANCELLED):
-            raise conflict(
-                "job_not_ended", f"job {job_id} is {job['state']}; only failed and cancelled jobs can"
-            )
-        if job["order_id"] is None:
-            fresh = job_queries.submit_again(connection, tenant, job, services)
-        else:
-            fresh = render_rows.queue_again(connection, tenant, job, services)
-        point_to(connection, tenant, key, fresh["id"])
-        shown = job_queries.show(connection, tenant, fresh)
-        audit.record(connection, who, "retry_job", job_id, details={"job": fresh["id"]})
     services.wakeups.signal()
     return shown
 

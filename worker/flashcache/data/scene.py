@@ -107,3 +107,8 @@ class Scene:
     def turned(self) -> tuple[View, ...]:
         """Return the views whose light has a turn; number k has light index k + 1 (0 is the reference)."""
         return tuple(view for view in (*self.train, *self.test) if view.light_turn is not None)
+
+
+def evenly_spaced(views: tuple[View, ...], count: int) -> tuple[View, ...]:
+    """Return at most `count` of `views` at equal strides, all of them for 0."""
+    return views[:: max(1, len(views) // count)][:count] if count else views

@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-from flashcache.data.scene import Camera, View
+from flashcache.data.scene import Camera, View, evenly_spaced
 from flashcache.evaluation.views import render_gbuffer
 from flashcache.physical.model import InverseModel
 from jaxtyping import Float
@@ -17,7 +17,6 @@ from lambent_worker.bundle.surface import AtlasSurface
 from lambent_worker.bundle.surface_files import silhouette_iou
 from lambent_worker.report import figures
 from lambent_worker.report.predictions import encoded
-from lambent_worker.report.request import evenly_spaced
 
 SHOWN_VIEWS = 2
 SHOWN_SIDE = 128

@@ -5,7 +5,7 @@ right place. They are evened out between the borders of what was seen.
 """
 
 import numpy as np
-from flashcache.data.scene import View
+from flashcache.data.scene import View, evenly_spaced
 from lambent_relight.baked.raster import rasterise
 from numpy.typing import NDArray
 from scipy import sparse
@@ -15,7 +15,6 @@ from scipy.spatial import cKDTree
 from lambent_worker.bundle.atlas import angle_weighted_normals, unit
 from lambent_worker.bundle.cameras import relight_camera
 from lambent_worker.bundle.mesh import Mesh, compact, edges_of, piece_of_face
-from lambent_worker.report.request import evenly_spaced
 
 MOST_VIEWS = 100
 HIDDEN_CELLS = 1.0

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from flashcache.data.scene import Scene, View
+from flashcache.data.scene import Scene, View, evenly_spaced
 from flashcache.evaluation import metrics
 from jaxtyping import Float
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -19,7 +19,6 @@ from lambent_worker.report.environment_scores import FOLDER, LUMINANCE, compare_
 from lambent_worker.report.maps import load
 from lambent_worker.report.predictions import CACHE_FOLDER, DIRECT_FOLDER, ERROR_SUFFIX, encoded
 from lambent_worker.report.published import METRICS
-from lambent_worker.report.request import evenly_spaced
 
 MAX_VIEWS = 6
 """Views shown as pictures; the tables cover all."""

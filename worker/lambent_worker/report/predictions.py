@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from flashcache.color import srgb_from_linear
-from flashcache.data.scene import View
+from flashcache.data.scene import View, evenly_spaced
 from flashcache.evaluation.metrics import normal_with_background
 from flashcache.evaluation.views import GBuffer, Picture, render_physical, render_relit, render_surface
 from jaxtyping import Float, Float32
@@ -27,7 +27,7 @@ from lambent_relight.environment.exr import write_exr
 from numpy import ndarray
 
 from lambent_worker.files import write_json
-from lambent_worker.report.request import UNSCALED_VIEWS, Subject, evenly_spaced
+from lambent_worker.report.request import UNSCALED_VIEWS, Subject
 from lambent_worker.report.uncertainty import uncertainty_map
 
 CACHE_FOLDER = "pred_cache"

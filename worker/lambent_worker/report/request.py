@@ -86,11 +86,6 @@ class Subject:
         return bool(self.model.domain.rotations_deg)
 
 
-def evenly_spaced(views: tuple[View, ...], count: int) -> tuple[View, ...]:
-    """Return at most `count` of `views` at equal strides, all of them for 0."""
-    return views[:: max(1, len(views) // count)][:count] if count else views
-
-
 def rule_of(settings: StageTwoConfig, shadows: Shadows = "fast") -> RenderRule:
     """Return the estimator for rendering a run trained with `settings`: the one it was trained with."""
     return RenderRule(
