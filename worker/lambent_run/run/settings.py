@@ -3,8 +3,7 @@
 They are imported, and torch with them, only for a run that has some: photographs are prepared without.
 """
 
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -33,12 +32,7 @@ def config_for(name: str, overrides: Mapping[str, str]) -> "Config":
 
 def adjust(config: "Config", adjustments: worker_pb2.Adjustments) -> "Config":
     """Return the configuration with fewer rays or lower rates in the stages that failed."""
-    stages = dict(adjustments.stages)
-    if not stages and adjustments.stage:  # from a server of the version before
-        stages[adjustments.stage] = worker_pb2.StageAdjustments(
-            ray_chunk=adjustments.ray_chunk, learning_rate=adjustments.learning_rate
-        )
-    for stage, own in stages.items():
+    for stage, own in adjustments.stages.items():
         rays, rate = own.ray_chunk or 1.0, own.learning_rate or 1.0
         if stage == "cache":
             one = config.stage_one
@@ -57,17 +51,6 @@ def adjust(config: "Config", adjustments: worker_pb2.Adjustments) -> "Config":
             )
             config = replace(config, stage_two=two)
     return config
-
-
-def rounded_sizes(params: Mapping[str, str], config: "Config") -> Iterator[str]:
-    """Yield a sentence about every size in an order's parameters that `config`, made from them, has not."""
-    from flashcache.config import SIZE_STEP
-
-    for name in ("atlas_size", "transport_size"):
-        asked, found = params.get(f"export.{name}"), getattr(config.export, name)
-        if asked is not None and json.loads(asked) != found:
-            why = f"sizes of textures are multiples of {SIZE_STEP} since the job was queued"
-            yield f"export.{name} is {found} instead of {asked}: {why}"
 
 
 def config_record(config: "Config | None") -> dict[str, Any] | None:
