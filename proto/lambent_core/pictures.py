@@ -1,14 +1,23 @@
-"""Validated requests for pictures: the messages of render.proto as users write them.
+"""Orders of pictures, as users write them, as the server keeps them and as the renderer reads them.
 
 Every setting is declared here once, with its range, default and help text, for commands, REST bodies,
-manifests and Python. The module is next to the messages that it mirrors, because server and renderer both
-read them and neither may import the other.
+manifests and Python.
 """
 
 import re
-from typing import Annotated, Any, Literal, get_args
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
 
 
 def _whole(value: Any) -> Any:
@@ -34,11 +43,14 @@ def safe_name(name: str) -> str:
 class Wanted(BaseModel):
     """A part of a request: unknown fields are refused, and no value is converted."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
 
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
 _WORDS = "a name of up to 64 letters, digits, '.', '_' and '-'"
+Entry = TypeVar("Entry")
+Entries = Annotated[Sequence[Entry], Field(min_length=1, max_length=1000)]
+ViewName = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
 PictureName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$", description=_WORDS)]
 Identifier = Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
 Angle = Annotated[float, Field(ge=-36000.0, le=36000.0)]
@@ -81,44 +93,68 @@ Pass = Literal[
 
 
 class RenderMaterial(Wanted):
-    """Changes to the bundle's material; mirrors lambent_proto.v1.RenderMaterial."""
+    """Changes to the bundle's material."""
 
     albedo_gain: Annotated[
         list[Positive], Field(min_length=3, max_length=3, default_factory=lambda: [1.0, 1.0, 1.0])
     ]
+    """Factors on the albedo, red, green, blue."""
     albedo: (
         Annotated[list[Annotated[float, Field(ge=0.0, le=1.0)]], Field(min_length=3, max_length=3)] | None
     ) = None
+    """Linear albedo instead of the object's own."""
     roughness_scale: Annotated[float, Field(ge=0.0, le=1e6)] = 1.0
+    """Factor on perceptual roughness."""
 
 
 class RenderAsset(Wanted):
-    """A bundle in one material and pose; mirrors lambent_proto.v1.RenderAsset."""
+    """A bundle in one material and pose."""
 
     name: PictureName | None = None
     """Default: the bundle's id."""
     bundle_id: Identifier
     material: Annotated[RenderMaterial, Field(default_factory=RenderMaterial)]
     object_rotate_deg: Angle = 0.0
+    """Rotates the object, not its light, about +z."""
+
+    @property
+    def called(self) -> str:
+        """Return the name."""
+        return self.name or self.bundle_id
 
 
-class RenderEnvironment(Wanted):
-    """An environment and how it is to be used; mirrors lambent_proto.v1.RenderEnvironment."""
+class EnvironmentInput(Wanted):
+    """How the file of an environment map is read."""
+
+    axes: Axes = "blender"
+    """Convention of the map; "blender" is ours."""
+    layout: Layout = "auto"
+    """How the file shows the sphere; "auto": as it states, else by its size."""
+    mend: bool = False
+    """Whether NaN, negative and infinite values are replaced; otherwise they are an error."""
+    sun_clamp: Annotated[float, Field(ge=0.0, le=1e30)] = 0.0
+    """Largest radiance of a channel; 0 keeps everything."""
+
+
+class RenderEnvironment(EnvironmentInput):
+    """An environment and how it is to be used."""
 
     name: PictureName | None = None
     """Default: the environment's own."""
     environment_id: Identifier
-    axes: Axes = "blender"
-    layout: Layout = "auto"
-    mend: bool = False
-    sun_clamp: Annotated[float, Field(ge=0.0, le=1e30)] = 0.0
     rotate_deg: Angle = 0.0
+    """Rotates the light about +z."""
+
+    @property
+    def called(self) -> str:
+        """Return the name."""
+        return self.name or self.environment_id
 
 
 class RenderCamera(Wanted):
-    """A pinhole camera; mirrors lambent_proto.v1.RenderCamera."""
+    """A pinhole camera, as in cameras.json of a bundle."""
 
-    name: Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
+    name: ViewName
     width: Annotated[int, Field(ge=1, le=16384), WHOLE]
     height: Annotated[int, Field(ge=1, le=16384), WHOLE]
     focal_x: Annotated[float, Field(gt=0.0, le=1e9)]
@@ -128,22 +164,43 @@ class RenderCamera(Wanted):
     camera_to_world: Annotated[list[Finite], Field(min_length=16, max_length=16)]
 
 
+UNCLEAR = "cameras_unclear"
+"""Type of the error for cameras that no schema of single fields can refuse."""
+
+
 class RenderCameras(Wanted):
-    """Some cameras: one of turntable, views, all_views and poses; mirrors lambent_proto.v1.RenderCameras."""
+    """Some cameras; exactly one of turntable, views, all_views and poses selects them."""
 
     name: Annotated[str, Field(pattern=r"^([A-Za-z0-9_][A-Za-z0-9._-]{0,63})?$", description=_WORDS)] = ""
-    turntable: Annotated[int, Field(ge=0, le=1000), WHOLE] = 0
+    """Prefix of the cameras' names."""
+    turntable: Annotated[int, Field(ge=0, le=10_000), WHOLE] = 0
+    """This many cameras evenly around the object."""
     elevation_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None
     radius: Positive | None = None
     field_of_view_deg: Annotated[float, Field(ge=0.1, le=179.0)] | None = None
     start_deg: Angle = 0.0
-    views: Annotated[
-        list[Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]],
-        Field(max_length=1000, default_factory=list),
-    ]
+    views: Annotated[list[ViewName], Field(max_length=10_000, default_factory=list)]
+    """Names of cameras of the bundle."""
     all_views: bool = False
-    poses: Annotated[list[RenderCamera], Field(max_length=1000, default_factory=list)]
+    poses: Annotated[list[RenderCamera], Field(max_length=10_000, default_factory=list)]
     size: Side = 0
+    """Longer side in pixels; 0 keeps the size."""
+
+    @field_validator("elevation_deg", "radius", "field_of_view_deg", "start_deg")
+    @classmethod
+    def _check_place(cls, value: float | None, info: ValidationInfo) -> float | None:
+        default = cls.model_fields[str(info.field_name)].default
+        if value != default and info.data.get("turntable") == 0:
+            raise PydanticCustomError(UNCLEAR, "this places a turntable and has no meaning here")
+        return value
+
+    @model_validator(mode="after")
+    def _check_source(self) -> "RenderCameras":
+        if bool(self.turntable) + bool(self.views) + self.all_views + bool(self.poses) != 1:
+            raise PydanticCustomError(
+                UNCLEAR, "exactly one of turntable, views, all_views and poses is needed"
+            )
+        return self
 
 
 class RenderSettings(Wanted):
@@ -152,7 +209,7 @@ class RenderSettings(Wanted):
     Exposure, tone mapping and background only change how a picture is shown; any other setting renders anew.
     """
 
-    model_config = ConfigDict(frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True)
 
     quality: Literal["preview", "baked", "refined"] = "refined"
     """Baked transport (immediate, without noise) or Monte Carlo."""
@@ -185,10 +242,15 @@ class RenderSettings(Wanted):
 
 
 class RenderQuality(RenderSettings):
-    """How pictures are made; mirrors lambent_proto.v1.RenderQuality."""
+    """How pictures are made, under one name."""
 
     name: PictureName | None = None
     """Default: the quality itself."""
+
+    @property
+    def called(self) -> str:
+        """Return the name."""
+        return self.name or self.quality
 
 
 _PLACE = r"\{(?:asset|environment|quality|camera)\}"
@@ -198,14 +260,16 @@ _PATH = "a relative path of plain names that may name {asset}, {environment}, {q
 
 
 class RenderOutput(Wanted):
-    """The files written for every picture; mirrors lambent_proto.v1.RenderOutput."""
+    """The files written for every picture."""
 
     files: Annotated[
         list[Literal["png", "exr"]],
         Field(min_length=1, max_length=2, default_factory=lambda: ["png", "exr"]),
     ]
     passes: Annotated[list[Pass], Field(max_length=12, default_factory=lambda: list(get_args(Pass)))]
+    """Layers of the EXR besides the picture; "cryptomatte" is the object's mask."""
     half: bool = True
+    """16-bit instead of 32-bit floats in EXR files; depth and the Cryptomatte always have 32."""
     path: Annotated[str, Field(max_length=300, pattern=rf"^{_PART}(?:/{_PART})*$", description=_PATH)] = (
         "{asset}/{environment}/{quality}/{camera}"
     )
@@ -213,13 +277,26 @@ class RenderOutput(Wanted):
 
 
 class RenderSpec(Wanted):
-    """Assets x environments x cameras x qualities; mirrors lambent_proto.v1.RenderSpec."""
+    """Assets x environments x cameras x qualities, one picture each."""
 
     name: Name = "batch"
-    assets: Annotated[list[RenderAsset], Field(min_length=1, max_length=1000)]
-    environments: Annotated[list[RenderEnvironment], Field(min_length=1, max_length=1000)]
-    cameras: Annotated[list[RenderCameras], Field(min_length=1, max_length=100)]
-    qualities: Annotated[
-        list[RenderQuality], Field(min_length=1, max_length=16, default_factory=lambda: [RenderQuality()])
-    ]
+    assets: Entries[RenderAsset]
+    environments: Entries[RenderEnvironment]
+    cameras: Entries[RenderCameras]
+    qualities: Annotated[Entries[RenderQuality], Field(default_factory=lambda: [RenderQuality()])]
     output: Annotated[RenderOutput, Field(default_factory=RenderOutput)]
+
+
+def clashes(spec: RenderSpec) -> Iterator[tuple[str, str]]:
+    """Yield (JSON pointer, message) of what gives two pictures of an order one name."""
+    needed = ["{camera}"]
+    for kind, place in (("asset", "assets"), ("environment", "environments"), ("quality", "qualities")):
+        names = [entry.called for entry in getattr(spec, place)]
+        known = [name.casefold() for name in names]
+        needed += [f"{{{kind}}}"] if len(names) > 1 else []
+        for index, name in enumerate(names):
+            if name.casefold() in known[:index]:
+                yield f"/{place}/{index}/name", f'a second {kind} is called "{name}"; give it another name'
+    lacking = ", ".join(place for place in sorted(needed) if place not in spec.output.path)
+    if lacking:
+        yield "/output/path", f"path: {spec.output.path!r} gives pictures the same name; add {lacking}"

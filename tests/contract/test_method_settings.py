@@ -7,9 +7,10 @@ from typing import Any
 
 import pytest
 from flashcache.ablations import ABLATIONS
-from flashcache.config import Config, to_dict
+from flashcache.config import SIZE_STEP, Config, to_dict
 from flashcache.presets import fast, paper_tensoir, preset
 from flashcache.presets_paper import SCENES
+from lambent_server.api import parameters as job_parameters
 
 TEXT = (Path(__file__).parents[2] / "docs" / "reference" / "method-settings.md").read_text(encoding="utf-8")
 DATASETS = ("paper_tensoir", "paper_openillumination", "paper_glossy")
@@ -73,3 +74,7 @@ def test_all_ablations_and_published_scenes_are_on_the_page():
     for scenes in SCENES.values():
         for scene in scenes:
             assert re.search(rf":{scene}`", TEXT)
+
+
+def test_server_and_worker_agree_on_the_sizes_that_can_be_made():
+    assert job_parameters.SIZE_STEP == SIZE_STEP

@@ -17,6 +17,7 @@ from lambent_run.job.connection import Connection, Identity
 from lambent_run.job.process import describe_failure, restore_checkpoints
 from lambent_run.job.server_reporter import ServerReporter
 from lambent_run.run.context import TaskContext
+from lambent_run.run.parameters import JobParameters
 from lambent_run.run.spec import RunSpec
 from lambent_run.run.tasks.training import drive
 from support.runs import Stage, staged, token
@@ -133,7 +134,7 @@ class FailingJob:
         try:
             start = self.server.call("Start", self.job, self.run)
             restore_checkpoints(connection, reporter, start, folder)
-            spec = RunSpec.from_job(start.spec, start.adjustments, folder)
+            spec = RunSpec.from_job(start, JobParameters.of(start.params), folder)
             for stage in ("cache", "joint"):
                 context = TaskContext(spec=spec, run_dir=folder, device="cpu", reporter=reporter, task=stage)
                 self.do_task(context, ERRORS[kind] if stage == failing else None, at)

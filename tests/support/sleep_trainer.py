@@ -43,7 +43,7 @@ def fail(how: str) -> None:
 
 def pipeline(order: Order) -> Path:
     """Count steps, keep the count in checkpoints, and write a bundle that says how far it came."""
-    params = order.spec.params
+    params = order.start.params
     num_steps = int(params.get("num_steps", "20"))
     stage = params.get("stage", "joint")
     until = Path(params["until"]) if "until" in params else None
@@ -92,15 +92,15 @@ def pipeline(order: Order) -> Path:
 def write_result(order: Order, num_steps: int) -> Path:
     """Write a bundle and an artifact."""
     bundle = order.run_dir / "bundle"
-    if "bundle" in order.spec.params:
-        with zipfile.ZipFile(order.spec.params["bundle"]) as archive:
+    if "bundle" in order.start.params:
+        with zipfile.ZipFile(order.start.params["bundle"]) as archive:
             archive.extractall(bundle)
         _add_rendering(bundle)
         return bundle
     (bundle / "models").mkdir(parents=True)
     weights = bytes(range(256)) * 40
     (bundle / "models" / "weights.bin").write_bytes(weights)
-    manifest = bundle_pb2.BundleManifest(schema_version="1", scene_id=order.spec.scene_id, name="sleep")
+    manifest = bundle_pb2.BundleManifest(schema_version="1", scene_id=order.start.scene_id, name="sleep")
     manifest.generator.train_step = num_steps
     manifest.files.add(
         path="models/weights.bin",
@@ -116,8 +116,8 @@ def write_result(order: Order, num_steps: int) -> Path:
     report = order.run_dir / "report.json"
     report.write_text('{"metrics": []}')
     order.reporter.artifact("report.json", report)
-    if "touch" in order.spec.params:
-        with Path(order.spec.params["touch"]).open("a") as file:
+    if "touch" in order.start.params:
+        with Path(order.start.params["touch"]).open("a") as file:
             file.write(f"{order.run_dir.name}\n")
     return bundle
 

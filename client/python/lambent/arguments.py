@@ -32,23 +32,23 @@ def identifier(value: object, name: str) -> str:
 
 def identifiers(values: object, name: str) -> list[str]:
     """Return a list of ids; a single id is not one, although it is a sequence of letters."""
-    if isinstance(values, str) or not isinstance(values, Sequence):
-        raise _refused(name, values, "give a list of ids")
-    return [identifier(value, f"an entry of {name}") for value in values]
+    return [identifier(each, f"an entry of {name}") for each in _entries(values, name, "give a list of ids")]
 
 
 def text(value: object, name: str) -> str:
     """Return a string."""
-    if not isinstance(value, str):
-        raise _refused(name, value, "give a string")
-    return value
+    return instance(value, str, name, "give a string")
 
 
 def text_list(value: object, name: str) -> list[str]:
     """Return a list of strings; a single string is not one, although it is a sequence of strings."""
+    return [text(each, f"an entry of {name}") for each in _entries(value, name, "give a list of strings")]
+
+
+def _entries(value: object, name: str, advice: str) -> Sequence[Any]:
     if isinstance(value, str) or not isinstance(value, Sequence):
-        raise _refused(name, value, "give a list of strings")
-    return [text(each, f"an entry of {name}") for each in value]
+        raise _refused(name, value, advice)
+    return value
 
 
 def file_path(value: object, name: str) -> Path:
@@ -83,14 +83,13 @@ def seconds(value: object, name: str) -> float:
 
 def texts(value: object, name: str) -> dict[str, str]:
     """Return a mapping of strings to strings; None stands for an empty one."""
-    if value is None:
-        return {}
-    if not isinstance(value, Mapping):
+    given = {} if value is None else value
+    if not isinstance(given, Mapping):
         raise _refused(name, value, "give a mapping of strings to strings")
-    for key, entry in value.items():
+    for key, entry in given.items():
         if not isinstance(key, str) or not isinstance(entry, str):
             raise _refused(f"{name}[{key!r}]", entry, "give names and values as strings, numbers too")
-    return dict(value)
+    return dict(given)
 
 
 def mapping(value: object, name: str) -> dict[str, Any]:
@@ -107,10 +106,11 @@ def function(value: F, name: str) -> F:
     return value
 
 
-def instance(value: object, kind: type, name: str, advice: str) -> None:
-    """Make sure that a value is of a class."""
+def instance(value: object, kind: type[F], name: str, advice: str) -> F:
+    """Return a value of a class."""
     if not isinstance(value, kind):
         raise _refused(name, value, advice)
+    return value
 
 
 def _refused(name: str, value: object, advice: str) -> UsageProblemError:

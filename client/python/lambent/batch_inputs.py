@@ -2,7 +2,6 @@
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 from lambent_core.files import file_sha256
@@ -26,7 +25,7 @@ def with_local_bundles(
     fetched: raises `batch.map_on_server`. Raises UnreachableError where no server answers.
     """
     _refuse_maps_on_server(manifest)
-    if all(asset.path is not None for asset in manifest.assets):
+    if all(asset.bundle is not None for asset in manifest.assets):
         return manifest
 
     with Client(url) as client:
@@ -44,7 +43,7 @@ def plan_here(manifest: Manifest, note: Callable[[str], None], *, url: str = "")
     Of bundles on a server only manifest and cameras are fetched. Raises as `with_local_bundles` does.
     """
     _refuse_maps_on_server(manifest)
-    if all(asset.path is not None for asset in manifest.assets):
+    if all(asset.bundle is not None for asset in manifest.assets):
         return make_plan(manifest)
     with Client(url) as client, tempfile.TemporaryDirectory(prefix="lambent-") as name:
         folder = Path(name)
@@ -58,10 +57,10 @@ def plan_here(manifest: Manifest, note: Callable[[str], None], *, url: str = "")
 
 def _refuse_maps_on_server(manifest: Manifest) -> None:
     for light in manifest.environments:
-        if light.path is None:
+        if light.map is None:
             raise UsageProblemError(
                 "batch.map_on_server",
-                f"the environment {light.name} is named by its id on a server",
+                f"the environment {light.called} is named by its id on a server",
                 "give its file, or render on the server: --server",
             )
 
@@ -69,16 +68,16 @@ def _refuse_maps_on_server(manifest: Manifest) -> None:
 def _with_bundles(manifest: Manifest, bring: Callable[[str], Path], note: Callable[[str], None]) -> Manifest:
     """Return the manifest with the bundles of a server where `bring` puts them, each of them once."""
     places: dict[str, Path] = {}
-    for identifier in sorted({asset.bundle_id for asset in manifest.assets if asset.path is None}):
+    for identifier in sorted({asset.bundle_id for asset in manifest.assets if asset.bundle is None}):
         try:
             places[identifier] = bring(identifier)
         except RefusedError as error:
             note(f"{identifier}: {error}")
     assets = tuple(
-        asset if asset.path is not None else replace(asset, path=places.get(asset.bundle_id))
+        asset.model_copy(update={"bundle": asset.bundle or places.get(asset.bundle_id)})
         for asset in manifest.assets
     )
-    return replace(manifest, assets=assets)
+    return manifest.model_copy(update={"assets": assets})
 
 
 def plan_on_server(
@@ -99,7 +98,7 @@ def plan_on_server(
                 f"the server has no environment {light.environment_id}",
                 "see `GET /v1/environments`, or give its file",
             )
-    maps = sorted({light.path for light in manifest.environments if light.path is not None})
+    maps = sorted({light.map for light in manifest.environments if light.map is not None})
     to_send = tuple(path for path in maps if path.is_file() and (path.name, file_sha256(path)) not in there)
     for asset in manifest.assets:
         if not asset.bundle_id:
@@ -114,6 +113,6 @@ def bundle_here(asset: Asset) -> UsageProblemError:
     """Return the error for an asset that only this machine has."""
     return UsageProblemError(
         "batch.bundle_here",
-        f"the asset {asset.name} is the file {asset.path}, which the server does not have",
+        f"the asset {asset.called} is the file {asset.bundle}, which the server does not have",
         "give its bundle_id there (`lambent jobs`), or render here, without --server",
     )

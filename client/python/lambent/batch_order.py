@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,39 +20,26 @@ def order_of(manifest: Manifest, environment_ids: Mapping[Path, str]) -> dict[st
     for asset in manifest.assets:
         if not asset.bundle_id:
             raise bundle_here(asset)
-    return {
-        "name": manifest.name,
-        "assets": [
-            {
-                "name": asset.name,
-                "bundle_id": asset.bundle_id,
-                "material": asdict(asset.edit),
-                "object_rotate_deg": asset.object_rotate_deg,
-            }
-            for asset in manifest.assets
-        ],
-        "environments": [
-            {
-                "name": light.name,
-                "environment_id": light.environment_id or environment_ids[light.path],  # type: ignore[index]
-                **asdict(light.given),
-                "rotate_deg": light.rotate_deg,
-            }
-            for light in manifest.environments
-        ],
-        "cameras": [_cameras_of(entry) for entry in manifest.cameras],
-        "qualities": [quality.model_dump() for quality in manifest.qualities],
-        "output": {
-            "files": list(manifest.files.suffixes),
-            "passes": list(manifest.files.passes),
-            "half": manifest.files.half,
-            "path": manifest.files.path,
+    order = manifest.model_dump(
+        mode="json",
+        exclude={
+            "schema_": True,
+            "settings": True,
+            "assets": {"__all__": {"bundle"}},
+            "environments": {"__all__": {"map"}},
         },
-    }
+    )
+    for asset, entry in zip(manifest.assets, order["assets"], strict=True):
+        entry["name"] = asset.called
+    for light, entry in zip(manifest.environments, order["environments"], strict=True):
+        identifier = light.environment_id if light.map is None else environment_ids[light.map]
+        entry |= {"name": light.called, "environment_id": identifier}
+    order["cameras"] = [_cameras_of(entry) for entry in manifest.cameras]
+    return order
 
 
 def _cameras_of(entry: Cameras) -> dict[str, Any]:
     stated = stated_cameras(entry)
     if stated is not None:
         return {"poses": json.loads(cameras_json(stated))["cameras"]}
-    return entry.model_dump(mode="json", exclude_defaults=True, exclude={"file", "poses"})
+    return entry.model_dump(mode="json", exclude={"file"})

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from lambent_core.pictures import UNCLEAR
 from pydantic import BaseModel, ValidationError
 
 _SHOWN = 40
@@ -41,8 +42,8 @@ def problems_of(error: ValidationError, model: type[BaseModel], pointer: str = "
             yield Problem(place.rpartition("/")[0], f"{name} is missing", expected)
         elif kind == "extra_forbidden":
             yield Problem(place, f"there is no {shown(name)} here; {_hint(name, parent)}")
-        elif kind == "value_error":
-            yield Problem(place, f"{start}{each['ctx']['error']}")
+        elif kind in ("value_error", UNCLEAR):
+            yield Problem(place, f"{start}{each['msg'].removeprefix('Value error, ')}")
         elif kind == "string_too_long":
             yield Problem(
                 place, f"{start}at most {node['maxLength']} characters are expected, not {len(value)}"

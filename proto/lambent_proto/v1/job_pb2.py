@@ -24,31 +24,21 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1alambent_proto/v1/job.proto\x12\x10lambent_proto.v1\"\xb3\x02\n\x07JobSpec\x12\x10\n\x08scene_id\x18\x01 \x01(\t\x12\x0e\n\x06preset\x18\x02 \x01(\t\x12\x35\n\x06params\x18\x03 \x03(\x0b\x32%.lambent_proto.v1.JobSpec.ParamsEntry\x12\x0c\n\x04gpus\x18\x04 \x01(\r\x12\x10\n\x08priority\x18\x05 \x01(\x05\x12\x35\n\x06labels\x18\x06 \x03(\x0b\x32%.lambent_proto.v1.JobSpec.LabelsEntry\x12\x0c\n\x04kind\x18\x07 \x01(\t\x12\x0c\n\x04seed\x18\x08 \x01(\r\x1a-\n\x0bParamsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\x1a-\n\x0bLabelsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\"\x9b\x01\n\x08Progress\x12\r\n\x05stage\x18\x01 \x01(\t\x12\x0c\n\x04step\x18\x02 \x01(\r\x12\x11\n\tnum_steps\x18\x03 \x01(\r\x12\x10\n\x08\x66raction\x18\x04 \x01(\x01\x12\r\n\x05\x65ta_s\x18\x05 \x01(\x01\x12\x13\n\x0bsteps_per_s\x18\x06 \x01(\x01\x12\x0c\n\x04loss\x18\x07 \x01(\x01\x12\x0c\n\x04psnr\x18\x08 \x01(\x01\x12\r\n\x05\x64oing\x18\t \x01(\t\"\xd3\x01\n\x05\x45vent\x12\x0e\n\x06job_id\x18\x01 \x01(\t\x12\x0b\n\x03seq\x18\x02 \x01(\r\x12\n\n\x02\x61t\x18\x03 \x01(\t\x12\x0c\n\x04type\x18\x04 \x01(\t\x12\x0b\n\x03run\x18\x05 \x01(\r\x12)\n\x05state\x18\x06 \x01(\x0e\x32\x1a.lambent_proto.v1.JobState\x12,\n\x08progress\x18\x07 \x01(\x0b\x32\x1a.lambent_proto.v1.Progress\x12\x0f\n\x07message\x18\x08 \x01(\t\x12\x0e\n\x06sha256\x18\t \x01(\t\x12\x0c\n\x04name\x18\n \x01(\t\"\xac\x01\n\x12\x43heckpointManifest\x12\x0e\n\x06job_id\x18\x01 \x01(\t\x12\x0b\n\x03run\x18\x02 \x01(\r\x12\r\n\x05stage\x18\x03 \x01(\t\x12\x0c\n\x04step\x18\x04 \x01(\r\x12\x15\n\rconfig_sha256\x18\x05 \x01(\t\x12\x14\n\x0c\x63ode_version\x18\x06 \x01(\t\x12/\n\x05\x66iles\x18\x07 \x03(\x0b\x32 .lambent_proto.v1.CheckpointFile\"B\n\x0e\x43heckpointFile\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01*\xce\x01\n\x08JobState\x12\x19\n\x15JOB_STATE_UNSPECIFIED\x10\x00\x12\x14\n\x10JOB_STATE_QUEUED\x10\x01\x12\x15\n\x11JOB_STATE_RUNNING\x10\x02\x12\x18\n\x14JOB_STATE_CANCELLING\x10\x03\x12\x18\n\x14JOB_STATE_RETRY_WAIT\x10\x04\x12\x17\n\x13JOB_STATE_SUCCEEDED\x10\x05\x12\x14\n\x10JOB_STATE_FAILED\x10\x06\x12\x17\n\x13JOB_STATE_CANCELLED\x10\x07\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1alambent_proto/v1/job.proto\x12\x10lambent_proto.v1\"\x9b\x01\n\x08Progress\x12\r\n\x05stage\x18\x01 \x01(\t\x12\x0c\n\x04step\x18\x02 \x01(\r\x12\x11\n\tnum_steps\x18\x03 \x01(\r\x12\x10\n\x08\x66raction\x18\x04 \x01(\x01\x12\r\n\x05\x65ta_s\x18\x05 \x01(\x01\x12\x13\n\x0bsteps_per_s\x18\x06 \x01(\x01\x12\x0c\n\x04loss\x18\x07 \x01(\x01\x12\x0c\n\x04psnr\x18\x08 \x01(\x01\x12\r\n\x05\x64oing\x18\t \x01(\t\"\xd3\x01\n\x05\x45vent\x12\x0e\n\x06job_id\x18\x01 \x01(\t\x12\x0b\n\x03seq\x18\x02 \x01(\r\x12\n\n\x02\x61t\x18\x03 \x01(\t\x12\x0c\n\x04type\x18\x04 \x01(\t\x12\x0b\n\x03run\x18\x05 \x01(\r\x12)\n\x05state\x18\x06 \x01(\x0e\x32\x1a.lambent_proto.v1.JobState\x12,\n\x08progress\x18\x07 \x01(\x0b\x32\x1a.lambent_proto.v1.Progress\x12\x0f\n\x07message\x18\x08 \x01(\t\x12\x0e\n\x06sha256\x18\t \x01(\t\x12\x0c\n\x04name\x18\n \x01(\t\"\xac\x01\n\x12\x43heckpointManifest\x12\x0e\n\x06job_id\x18\x01 \x01(\t\x12\x0b\n\x03run\x18\x02 \x01(\r\x12\r\n\x05stage\x18\x03 \x01(\t\x12\x0c\n\x04step\x18\x04 \x01(\r\x12\x15\n\rconfig_sha256\x18\x05 \x01(\t\x12\x14\n\x0c\x63ode_version\x18\x06 \x01(\t\x12/\n\x05\x66iles\x18\x07 \x03(\x0b\x32 .lambent_proto.v1.CheckpointFile\"B\n\x0e\x43heckpointFile\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0e\n\x06sha256\x18\x02 \x01(\t\x12\x12\n\nsize_bytes\x18\x03 \x01(\x01*\xce\x01\n\x08JobState\x12\x19\n\x15JOB_STATE_UNSPECIFIED\x10\x00\x12\x14\n\x10JOB_STATE_QUEUED\x10\x01\x12\x15\n\x11JOB_STATE_RUNNING\x10\x02\x12\x18\n\x14JOB_STATE_CANCELLING\x10\x03\x12\x18\n\x14JOB_STATE_RETRY_WAIT\x10\x04\x12\x17\n\x13JOB_STATE_SUCCEEDED\x10\x05\x12\x14\n\x10JOB_STATE_FAILED\x10\x06\x12\x17\n\x13JOB_STATE_CANCELLED\x10\x07\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'lambent_proto.v1.job_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_JOBSPEC_PARAMSENTRY']._loaded_options = None
-  _globals['_JOBSPEC_PARAMSENTRY']._serialized_options = b'8\001'
-  _globals['_JOBSPEC_LABELSENTRY']._loaded_options = None
-  _globals['_JOBSPEC_LABELSENTRY']._serialized_options = b'8\001'
-  _globals['_JOBSTATE']._serialized_start=974
-  _globals['_JOBSTATE']._serialized_end=1180
-  _globals['_JOBSPEC']._serialized_start=49
-  _globals['_JOBSPEC']._serialized_end=356
-  _globals['_JOBSPEC_PARAMSENTRY']._serialized_start=264
-  _globals['_JOBSPEC_PARAMSENTRY']._serialized_end=309
-  _globals['_JOBSPEC_LABELSENTRY']._serialized_start=311
-  _globals['_JOBSPEC_LABELSENTRY']._serialized_end=356
-  _globals['_PROGRESS']._serialized_start=359
-  _globals['_PROGRESS']._serialized_end=514
-  _globals['_EVENT']._serialized_start=517
-  _globals['_EVENT']._serialized_end=728
-  _globals['_CHECKPOINTMANIFEST']._serialized_start=731
-  _globals['_CHECKPOINTMANIFEST']._serialized_end=903
-  _globals['_CHECKPOINTFILE']._serialized_start=905
-  _globals['_CHECKPOINTFILE']._serialized_end=971
+  _globals['_JOBSTATE']._serialized_start=664
+  _globals['_JOBSTATE']._serialized_end=870
+  _globals['_PROGRESS']._serialized_start=49
+  _globals['_PROGRESS']._serialized_end=204
+  _globals['_EVENT']._serialized_start=207
+  _globals['_EVENT']._serialized_end=418
+  _globals['_CHECKPOINTMANIFEST']._serialized_start=421
+  _globals['_CHECKPOINTMANIFEST']._serialized_end=593
+  _globals['_CHECKPOINTFILE']._serialized_start=595
+  _globals['_CHECKPOINTFILE']._serialized_end=661
 # @@protoc_insertion_point(module_scope)

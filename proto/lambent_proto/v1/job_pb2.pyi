@@ -26,40 +26,6 @@ JOB_STATE_SUCCEEDED: JobState
 JOB_STATE_FAILED: JobState
 JOB_STATE_CANCELLED: JobState
 
-class JobSpec(_message.Message):
-    __slots__ = ("scene_id", "preset", "params", "gpus", "priority", "labels", "kind", "seed")
-    class ParamsEntry(_message.Message):
-        __slots__ = ("key", "value")
-        KEY_FIELD_NUMBER: _ClassVar[int]
-        VALUE_FIELD_NUMBER: _ClassVar[int]
-        key: str
-        value: str
-        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
-    class LabelsEntry(_message.Message):
-        __slots__ = ("key", "value")
-        KEY_FIELD_NUMBER: _ClassVar[int]
-        VALUE_FIELD_NUMBER: _ClassVar[int]
-        key: str
-        value: str
-        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
-    SCENE_ID_FIELD_NUMBER: _ClassVar[int]
-    PRESET_FIELD_NUMBER: _ClassVar[int]
-    PARAMS_FIELD_NUMBER: _ClassVar[int]
-    GPUS_FIELD_NUMBER: _ClassVar[int]
-    PRIORITY_FIELD_NUMBER: _ClassVar[int]
-    LABELS_FIELD_NUMBER: _ClassVar[int]
-    KIND_FIELD_NUMBER: _ClassVar[int]
-    SEED_FIELD_NUMBER: _ClassVar[int]
-    scene_id: str
-    preset: str
-    params: _containers.ScalarMap[str, str]
-    gpus: int
-    priority: int
-    labels: _containers.ScalarMap[str, str]
-    kind: str
-    seed: int
-    def __init__(self, scene_id: _Optional[str] = ..., preset: _Optional[str] = ..., params: _Optional[_Mapping[str, str]] = ..., gpus: _Optional[int] = ..., priority: _Optional[int] = ..., labels: _Optional[_Mapping[str, str]] = ..., kind: _Optional[str] = ..., seed: _Optional[int] = ...) -> None: ...
-
 class Progress(_message.Message):
     __slots__ = ("stage", "step", "num_steps", "fraction", "eta_s", "steps_per_s", "loss", "psnr", "doing")
     STAGE_FIELD_NUMBER: _ClassVar[int]

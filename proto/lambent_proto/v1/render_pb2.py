@@ -24,31 +24,15 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1dlambent_proto/v1/render.proto\x12\x10lambent_proto.v1\"\x9a\x02\n\nRenderSpec\x12\x0c\n\x04name\x18\x01 \x01(\t\x12-\n\x06\x61ssets\x18\x02 \x03(\x0b\x32\x1d.lambent_proto.v1.RenderAsset\x12\x39\n\x0c\x65nvironments\x18\x03 \x03(\x0b\x32#.lambent_proto.v1.RenderEnvironment\x12\x30\n\x07\x63\x61meras\x18\x04 \x03(\x0b\x32\x1f.lambent_proto.v1.RenderCameras\x12\x32\n\tqualities\x18\x05 \x03(\x0b\x32\x1f.lambent_proto.v1.RenderQuality\x12.\n\x06output\x18\x06 \x01(\x0b\x32\x1e.lambent_proto.v1.RenderOutput\"}\n\x0bRenderAsset\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x11\n\tbundle_id\x18\x02 \x01(\t\x12\x32\n\x08material\x18\x03 \x01(\x0b\x32 .lambent_proto.v1.RenderMaterial\x12\x19\n\x11object_rotate_deg\x18\x04 \x01(\x01\"N\n\x0eRenderMaterial\x12\x13\n\x0b\x61lbedo_gain\x18\x01 \x03(\x01\x12\x0e\n\x06\x61lbedo\x18\x02 \x03(\x01\x12\x17\n\x0froughness_scale\x18\x03 \x01(\x01\"\x8c\x01\n\x11RenderEnvironment\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x16\n\x0e\x65nvironment_id\x18\x02 \x01(\t\x12\x0c\n\x04\x61xes\x18\x03 \x01(\t\x12\x0c\n\x04mend\x18\x04 \x01(\x08\x12\x11\n\tsun_clamp\x18\x05 \x01(\x01\x12\x12\n\nrotate_deg\x18\x06 \x01(\x01\x12\x0e\n\x06layout\x18\x07 \x01(\t\"\xa6\x02\n\rRenderCameras\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x11\n\tturntable\x18\x02 \x01(\r\x12\x1a\n\relevation_deg\x18\x03 \x01(\x01H\x00\x88\x01\x01\x12\x13\n\x06radius\x18\x04 \x01(\x01H\x01\x88\x01\x01\x12\x1e\n\x11\x66ield_of_view_deg\x18\x05 \x01(\x01H\x02\x88\x01\x01\x12\x11\n\tstart_deg\x18\x06 \x01(\x01\x12\r\n\x05views\x18\x07 \x03(\t\x12\x11\n\tall_views\x18\x08 \x01(\x08\x12-\n\x05poses\x18\t \x03(\x0b\x32\x1e.lambent_proto.v1.RenderCamera\x12\x0c\n\x04size\x18\n \x01(\rB\x10\n\x0e_elevation_degB\t\n\x07_radiusB\x14\n\x12_field_of_view_deg\"\x9a\x01\n\x0cRenderCamera\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05width\x18\x02 \x01(\r\x12\x0e\n\x06height\x18\x03 \x01(\r\x12\x0f\n\x07\x66ocal_x\x18\x04 \x01(\x01\x12\x0f\n\x07\x66ocal_y\x18\x05 \x01(\x01\x12\x10\n\x08\x63\x65ntre_x\x18\x06 \x01(\x01\x12\x10\n\x08\x63\x65ntre_y\x18\x07 \x01(\x01\x12\x17\n\x0f\x63\x61mera_to_world\x18\x08 \x03(\x01\"\xf8\x01\n\rRenderQuality\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07quality\x18\x02 \x01(\t\x12\x0b\n\x03spp\x18\x03 \x01(\r\x12\x14\n\x0cuntil_stderr\x18\x04 \x01(\x01\x12\x11\n\tantialias\x18\x05 \x01(\r\x12\x10\n\x08indirect\x18\x06 \x01(\x08\x12\x0c\n\x04seed\x18\x07 \x01(\r\x12\x12\n\nbackground\x18\x08 \x01(\t\x12\x13\n\x0b\x65xposure_ev\x18\t \x01(\x01\x12\x0f\n\x07\x62ounces\x18\n \x01(\t\x12\x14\n\x0ctone_mapping\x18\x0b \x01(\t\x12\x11\n\tocclusion\x18\x0c \x01(\t\x12\x0f\n\x07\x64\x65noise\x18\r \x01(\x08\"I\n\x0cRenderOutput\x12\r\n\x05\x66iles\x18\x01 \x03(\t\x12\x0e\n\x06passes\x18\x02 \x03(\t\x12\x0c\n\x04half\x18\x03 \x01(\x08\x12\x0c\n\x04path\x18\x04 \x01(\t\"\x8e\x01\n\nRenderTask\x12*\n\x04spec\x18\x01 \x01(\x0b\x32\x1c.lambent_proto.v1.RenderSpec\x12\r\n\x05shard\x18\x02 \x01(\r\x12\x12\n\nnum_shards\x18\x03 \x01(\r\x12\x31\n\x08\x66\x61ilures\x18\x04 \x03(\x0b\x32\x1f.lambent_proto.v1.RenderFailure\"<\n\rRenderFailure\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0c\n\x04\x63ode\x18\x02 \x01(\t\x12\x0f\n\x07message\x18\x03 \x01(\tb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1dlambent_proto/v1/render.proto\x12\x10lambent_proto.v1\"p\n\nRenderTask\x12\x0c\n\x04spec\x18\x01 \x01(\t\x12\r\n\x05shard\x18\x02 \x01(\r\x12\x12\n\nnum_shards\x18\x03 \x01(\r\x12\x31\n\x08\x66\x61ilures\x18\x04 \x03(\x0b\x32\x1f.lambent_proto.v1.RenderFailure\"<\n\rRenderFailure\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0c\n\x04\x63ode\x18\x02 \x01(\t\x12\x0f\n\x07message\x18\x03 \x01(\tb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'lambent_proto.v1.render_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_RENDERSPEC']._serialized_start=52
-  _globals['_RENDERSPEC']._serialized_end=334
-  _globals['_RENDERASSET']._serialized_start=336
-  _globals['_RENDERASSET']._serialized_end=461
-  _globals['_RENDERMATERIAL']._serialized_start=463
-  _globals['_RENDERMATERIAL']._serialized_end=541
-  _globals['_RENDERENVIRONMENT']._serialized_start=544
-  _globals['_RENDERENVIRONMENT']._serialized_end=684
-  _globals['_RENDERCAMERAS']._serialized_start=687
-  _globals['_RENDERCAMERAS']._serialized_end=981
-  _globals['_RENDERCAMERA']._serialized_start=984
-  _globals['_RENDERCAMERA']._serialized_end=1138
-  _globals['_RENDERQUALITY']._serialized_start=1141
-  _globals['_RENDERQUALITY']._serialized_end=1389
-  _globals['_RENDEROUTPUT']._serialized_start=1391
-  _globals['_RENDEROUTPUT']._serialized_end=1464
-  _globals['_RENDERTASK']._serialized_start=1467
-  _globals['_RENDERTASK']._serialized_end=1609
-  _globals['_RENDERFAILURE']._serialized_start=1611
-  _globals['_RENDERFAILURE']._serialized_end=1671
+  _globals['_RENDERTASK']._serialized_start=51
+  _globals['_RENDERTASK']._serialized_end=163
+  _globals['_RENDERFAILURE']._serialized_start=165
+  _globals['_RENDERFAILURE']._serialized_end=225
 # @@protoc_insertion_point(module_scope)

@@ -76,8 +76,20 @@ class StartRequest(_message.Message):
     def __init__(self, fence: _Optional[_Union[Fence, _Mapping]] = ..., code_version: _Optional[str] = ...) -> None: ...
 
 class StartResponse(_message.Message):
-    __slots__ = ("spec", "files", "checkpoints", "check_scene", "device", "adjustments", "progress_interval_s", "preview_interval_s", "scene_name", "render")
-    SPEC_FIELD_NUMBER: _ClassVar[int]
+    __slots__ = ("kind", "scene_id", "preset", "params", "gpus", "seed", "files", "checkpoints", "check_scene", "device", "adjustments", "progress_interval_s", "preview_interval_s", "scene_name", "render")
+    class ParamsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    SCENE_ID_FIELD_NUMBER: _ClassVar[int]
+    PRESET_FIELD_NUMBER: _ClassVar[int]
+    PARAMS_FIELD_NUMBER: _ClassVar[int]
+    GPUS_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
     FILES_FIELD_NUMBER: _ClassVar[int]
     CHECKPOINTS_FIELD_NUMBER: _ClassVar[int]
     CHECK_SCENE_FIELD_NUMBER: _ClassVar[int]
@@ -87,7 +99,12 @@ class StartResponse(_message.Message):
     PREVIEW_INTERVAL_S_FIELD_NUMBER: _ClassVar[int]
     SCENE_NAME_FIELD_NUMBER: _ClassVar[int]
     RENDER_FIELD_NUMBER: _ClassVar[int]
-    spec: _job_pb2.JobSpec
+    kind: str
+    scene_id: str
+    preset: str
+    params: _containers.ScalarMap[str, str]
+    gpus: int
+    seed: int
     files: _containers.RepeatedCompositeFieldContainer[SceneFile]
     checkpoints: _containers.RepeatedCompositeFieldContainer[_job_pb2.CheckpointManifest]
     check_scene: bool
@@ -97,10 +114,10 @@ class StartResponse(_message.Message):
     preview_interval_s: float
     scene_name: str
     render: _render_pb2.RenderTask
-    def __init__(self, spec: _Optional[_Union[_job_pb2.JobSpec, _Mapping]] = ..., files: _Optional[_Iterable[_Union[SceneFile, _Mapping]]] = ..., checkpoints: _Optional[_Iterable[_Union[_job_pb2.CheckpointManifest, _Mapping]]] = ..., check_scene: _Optional[bool] = ..., device: _Optional[str] = ..., adjustments: _Optional[_Union[Adjustments, _Mapping]] = ..., progress_interval_s: _Optional[float] = ..., preview_interval_s: _Optional[float] = ..., scene_name: _Optional[str] = ..., render: _Optional[_Union[_render_pb2.RenderTask, _Mapping]] = ...) -> None: ...
+    def __init__(self, kind: _Optional[str] = ..., scene_id: _Optional[str] = ..., preset: _Optional[str] = ..., params: _Optional[_Mapping[str, str]] = ..., gpus: _Optional[int] = ..., seed: _Optional[int] = ..., files: _Optional[_Iterable[_Union[SceneFile, _Mapping]]] = ..., checkpoints: _Optional[_Iterable[_Union[_job_pb2.CheckpointManifest, _Mapping]]] = ..., check_scene: _Optional[bool] = ..., device: _Optional[str] = ..., adjustments: _Optional[_Union[Adjustments, _Mapping]] = ..., progress_interval_s: _Optional[float] = ..., preview_interval_s: _Optional[float] = ..., scene_name: _Optional[str] = ..., render: _Optional[_Union[_render_pb2.RenderTask, _Mapping]] = ...) -> None: ...
 
 class Adjustments(_message.Message):
-    __slots__ = ("ray_chunk", "learning_rate", "stage", "stages")
+    __slots__ = ("stages",)
     class StagesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -108,15 +125,9 @@ class Adjustments(_message.Message):
         key: str
         value: StageAdjustments
         def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[StageAdjustments, _Mapping]] = ...) -> None: ...
-    RAY_CHUNK_FIELD_NUMBER: _ClassVar[int]
-    LEARNING_RATE_FIELD_NUMBER: _ClassVar[int]
-    STAGE_FIELD_NUMBER: _ClassVar[int]
     STAGES_FIELD_NUMBER: _ClassVar[int]
-    ray_chunk: float
-    learning_rate: float
-    stage: str
     stages: _containers.MessageMap[str, StageAdjustments]
-    def __init__(self, ray_chunk: _Optional[float] = ..., learning_rate: _Optional[float] = ..., stage: _Optional[str] = ..., stages: _Optional[_Mapping[str, StageAdjustments]] = ...) -> None: ...
+    def __init__(self, stages: _Optional[_Mapping[str, StageAdjustments]] = ...) -> None: ...
 
 class StageAdjustments(_message.Message):
     __slots__ = ("ray_chunk", "learning_rate")

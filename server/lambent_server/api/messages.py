@@ -155,8 +155,8 @@ class SceneReportAnswer(SceneReport):
     """Measurements of the capture; null if there are none, or before the scene has been checked."""
 
 
-class JobOrder(Given):
-    """What a job is to do; mirrors lambent_proto.v1.JobSpec."""
+class NewJob(Given):
+    """A job to submit for a scene."""
 
     scene_id: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")]
     preset: Annotated[str, Field(pattern="^[a-z0-9_]{1,64}$")] = "fast"
@@ -166,10 +166,6 @@ class JobOrder(Given):
     labels: Annotated[dict[LabelName, SettingValue], Field(max_length=32, json_schema_extra=ONLY_THESE)] = {}
     kind: NewJobKind = "train"
     seed: Annotated[int, Field(ge=0, le=2**31 - 1), WHOLE] = 0
-
-
-class NewJob(JobOrder):
-    """A job to submit for a scene."""
 
     webhook: Annotated[str, Field(min_length=1, max_length=2000)] | None = None
     """Where to tell that it has ended."""

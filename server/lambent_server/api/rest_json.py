@@ -1,15 +1,13 @@
-"""Conversion between protobuf messages and the JSON of the REST interface.
+"""Conversion of protobuf messages to the JSON of the REST interface.
 
 That is ProtoJSON with proto field names and every field written, except that enumerations are lower-case
 words without their prefix ("queued"), a message that is not set is null, and sizes are integers.
 """
 
-from typing import Any, TypeVar
+from typing import Any
 
 from google.protobuf.internal.enum_type_wrapper import EnumTypeWrapper
 from google.protobuf.message import Message
-
-Kind = TypeVar("Kind", bound=Message)
 
 
 def _prefix(enum_name: str) -> str:
@@ -22,13 +20,6 @@ def enum_text(enum: Any, number: int) -> str:
     descriptor = enum.DESCRIPTOR if isinstance(enum, EnumTypeWrapper) else enum
     name = descriptor.values_by_number[number].name.removeprefix(_prefix(descriptor.name)).lower()
     return "" if name == "unspecified" else str(name)
-
-
-def enum_number(enum: Any, text: str) -> int:
-    """Return the value of an enumeration for a word."""
-    descriptor = enum.DESCRIPTOR if isinstance(enum, EnumTypeWrapper) else enum
-    name = _prefix(descriptor.name) + (text.upper() or "UNSPECIFIED")
-    return int(descriptor.values_by_name[name].number)
 
 
 def _is_map(field: Any) -> bool:
@@ -61,29 +52,3 @@ def to_rest(message: Message) -> dict[str, Any]:
         else:
             result[field.name] = _value_to_rest(field, value)
     return result
-
-
-def _value_from_rest(field: Any, value: Any) -> Any:
-    if field.message_type is not None:
-        return from_rest(field.message_type._concrete_class, value)
-    if field.enum_type is not None:
-        return enum_number(field.enum_type, value)
-    return value
-
-
-def from_rest(kind: type[Kind], value: dict[str, Any]) -> Kind:
-    """Return the message of a REST object; the inverse of `to_rest`."""
-    given: dict[str, Any] = {}
-    fields: Any = kind.DESCRIPTOR.fields
-    for field in fields:
-        member = value.get(field.name)
-        if member is None:
-            continue
-        if _is_map(field):
-            inner = field.message_type.fields_by_name["value"]
-            given[field.name] = {key: _value_from_rest(inner, each) for key, each in member.items()}
-        elif field.is_repeated:
-            given[field.name] = [_value_from_rest(field, each) for each in member]
-        else:
-            given[field.name] = _value_from_rest(field, member)
-    return kind(**given)

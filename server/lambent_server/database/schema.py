@@ -217,7 +217,7 @@ render_orders = Table(
     # "render" or "batch"
     _text("kind"),
     _text("name"),
-    # RenderSpec as REST accepts it, with every name filled in
+    # RenderSpec as REST accepts it, with the names of its environments filled in
     Column("spec", JSON, nullable=False),
     _count("num_pictures"),
     _count("num_shards"),

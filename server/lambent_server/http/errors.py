@@ -6,6 +6,7 @@ import structlog
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
+from lambent_core.pictures import UNCLEAR
 from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
@@ -43,8 +44,12 @@ def _validation(error: RequestValidationError) -> Problem:
         return Problem(
             400, "invalid_json", "the body is not valid JSON", errors=(Detail("#", str(found[0]["msg"])),)
         )
-    details = tuple(Detail(_pointer(each["loc"]), str(each["msg"])) for each in found[:MAX_ERRORS])
-    return Problem(422, "invalid_request", f"{len(found)} value(s) cannot be used", errors=details)
+    details = tuple(
+        Detail(_pointer(each["loc"]), str(each["msg"]).removeprefix("Value error, "))
+        for each in found[:MAX_ERRORS]
+    )
+    code = UNCLEAR if {each["type"] for each in found} == {UNCLEAR} else "invalid_request"
+    return Problem(422, code, f"{len(found)} value(s) cannot be used", errors=details)
 
 
 def allowed_methods(request: Request) -> list[str]:

@@ -1,11 +1,12 @@
-"""Bodies of the REST interface for pictures; those that mirror a message of `proto/` have its fields."""
+"""Bodies of the REST interface for pictures."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from lambent_core.pictures import (
     WHOLE,
     Angle,
     Identifier,
+    RenderAsset,
     RenderCameras,
     RenderEnvironment,
     RenderMaterial,
@@ -33,6 +34,11 @@ class NewBatch(RenderSpec, _Order):
     shards: Annotated[int, Field(ge=0, le=64), WHOLE] = 0
     """Number of jobs that render it; 0: as many as run at the same time."""
 
+    @property
+    def spec(self) -> dict[str, Any]:
+        """Return the fields of the order itself, as it is kept."""
+        return self.model_dump(mode="json", include=set(RenderSpec.model_fields))
+
 
 class NewRender(_Order):
     """Pictures of one bundle to queue."""
@@ -44,6 +50,23 @@ class NewRender(_Order):
     material: Annotated[RenderMaterial, Field(default_factory=RenderMaterial)]
     object_rotate_deg: Angle = 0.0
     output: Annotated[RenderOutput, Field(default_factory=RenderOutput)]
+
+    def as_batch(self) -> NewBatch:
+        """Return the same pictures as a batch of one job."""
+        asset = RenderAsset(
+            bundle_id=self.bundle_id, material=self.material, object_rotate_deg=self.object_rotate_deg
+        )
+        return NewBatch(
+            name="render",
+            assets=[asset],
+            environments=self.environments,
+            cameras=[self.cameras],
+            qualities=[self.quality],
+            output=self.output,
+            shards=1,
+            priority=self.priority,
+            labels=self.labels,
+        )
 
 
 class Batch(Shown):

@@ -34,10 +34,15 @@ def submit_render(
 ) -> Job:
     """Queue pictures of one bundle as one job; the pictures are its artifacts."""
     services.require_disk()
-    order = render_rows.order_of_render(body)
     with services.database.write() as connection:
         row = render_rows.submit_once(
-            connection, tenant, order, services, key, digest_of(render_rows.RENDER, body)
+            connection,
+            tenant,
+            render_rows.RENDER,
+            body.as_batch(),
+            services,
+            key,
+            digest_of(render_rows.RENDER, body),
         )
         job = render_rows.first_job(connection, tenant, row["id"])
         shown = job_queries.show(connection, tenant, job)
@@ -52,10 +57,9 @@ def submit_batch(
 ) -> Batch:
     """Queue assets x environments x cameras x qualities, split into jobs."""
     services.require_disk()
-    order = render_rows.order_of_batch(body)
     with services.database.write() as connection:
         row = render_rows.submit_once(
-            connection, tenant, order, services, key, digest_of(render_rows.BATCH, body)
+            connection, tenant, render_rows.BATCH, body, services, key, digest_of(render_rows.BATCH, body)
         )
         batch = render_rows.show(connection, tenant, row)
         audit.record(connection, who, "submit_batch", batch.id)

@@ -2,17 +2,9 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from lambent_core.pictures import (
-    RenderAsset,
-    RenderCameras,
-    RenderEnvironment,
-    RenderQuality,
-    RenderSpec,
-    safe_name,
-)
+from lambent_core.pictures import RenderCameras, RenderSpec, clashes, safe_name
 from sqlalchemy import ColumnElement, Connection, FromClause, case, false, func, select
 
 from lambent_server.api.idempotency import made_before
@@ -40,7 +32,7 @@ from lambent_server.jobs.rows import (
     Job,
     is_unfinished,
 )
-from lambent_server.renders.messages import Batch, NewBatch, NewRender
+from lambent_server.renders.messages import Batch, NewBatch
 from lambent_server.services import Services
 
 RENDER = "render"
@@ -49,55 +41,29 @@ KINDS = (RENDER, BATCH)
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Order:
-    """Pictures to queue, as requested."""
-
-    kind: str
-    spec: RenderSpec
-    shards: int
-    priority: int
-    labels: dict[str, str]
-
-
-def order_of_batch(body: NewBatch) -> Order:
-    """Return the order of a batch."""
-    own = {"shards", "priority", "labels"}
-    spec = RenderSpec(**{name: getattr(body, name) for name in type(body).model_fields if name not in own})
-    return Order(kind=BATCH, spec=spec, shards=body.shards, priority=body.priority, labels=body.labels)
-
-
-def order_of_render(body: NewRender) -> Order:
-    """Return the order for pictures of one bundle: one job."""
-    asset = RenderAsset(
-        bundle_id=body.bundle_id, material=body.material, object_rotate_deg=body.object_rotate_deg
-    )
-    spec = RenderSpec(
-        name=RENDER,
-        assets=[asset],
-        environments=body.environments,
-        cameras=[body.cameras],
-        qualities=[body.quality],
-        output=body.output,
-    )
-    return Order(kind=RENDER, spec=spec, shards=1, priority=body.priority, labels=body.labels)
-
-
 def submit_once(
-    connection: Connection, tenant: Tenant, order: Order, services: Services, key: str | None, digest: str
+    connection: Connection,
+    tenant: Tenant,
+    kind: str,
+    order: NewBatch,
+    services: Services,
+    key: str | None,
+    digest: str,
 ) -> Row:
     """Queue an order, or return the one that was submitted earlier with this key."""
-    order_id = new_id(order.kind)
+    order_id = new_id(kind)
     known = made_before(connection, tenant, key, digest, order_id)
     if known is not None:
-        return require_order(connection, tenant, known, order.kind)
-    return submit(connection, tenant, order, services, order_id)
+        return require_order(connection, tenant, known, kind)
+    return submit(connection, tenant, kind, order, services, order_id)
 
 
-def submit(connection: Connection, tenant: Tenant, order: Order, services: Services, order_id: str) -> Row:
+def submit(
+    connection: Connection, tenant: Tenant, kind: str, order: NewBatch, services: Services, order_id: str
+) -> Row:
     """Queue the jobs of an order; raises the problem if it cannot be accepted."""
-    spec = _named(connection, tenant, order.spec, single=order.kind == RENDER)
-    num_pictures = _count_pictures(connection, tenant, spec, services, single=order.kind == RENDER)
+    order = _named(connection, tenant, order, single=kind == RENDER)
+    num_pictures = _count_pictures(connection, tenant, order, services, single=kind == RENDER)
     limit = services.settings.max_batch_pictures
     if num_pictures > limit:
         message = f"{num_pictures} pictures are asked for, {limit} are allowed at once"
@@ -111,17 +77,17 @@ def submit(connection: Connection, tenant: Tenant, order: Order, services: Servi
             tenant,
             render_orders,
             id=order_id,
-            kind=order.kind,
-            name=spec.name,
-            spec=spec.model_dump(mode="json"),
+            kind=kind,
+            name=order.name,
+            spec=order.spec,
             num_pictures=num_pictures,
             num_shards=num_shards,
             created_at=now(),
         )
     )
     for shard in range(num_jobs):
-        _queue(connection, tenant, order_id, order.kind, shard, order.priority, order.labels)
-    return require_order(connection, tenant, order_id, order.kind)
+        _queue(connection, tenant, order_id, kind, shard, order.priority, order.labels)
+    return require_order(connection, tenant, order_id, kind)
 
 
 def _num_places(connection: Connection, services: Services) -> int:
@@ -269,48 +235,22 @@ def retry(connection: Connection, tenant: Tenant, row: Row, services: Services) 
     _queue_parts(connection, tenant, row["id"], again, services)
 
 
-def _named(connection: Connection, tenant: Tenant, spec: RenderSpec, *, single: bool) -> RenderSpec:
-    """Return the order with every name filled in; everything that it refers to must exist."""
-    assets, lights = [], []
-    for index, asset in enumerate(spec.assets):
+def _named(connection: Connection, tenant: Tenant, order: NewBatch, *, single: bool) -> NewBatch:
+    """Return the order with the environments' names; everything that it refers to must exist."""
+    for index, asset in enumerate(order.assets):
         if find(connection, tenant, bundles, asset.bundle_id) is None:
             raise _missing("bundle", asset.bundle_id, "#" if single else f"#/assets/{index}")
-        assets.append(asset.model_copy(update={"name": asset.name or asset.bundle_id}))
-    for index, light in enumerate(spec.environments):
+    lights = []
+    for index, light in enumerate(order.environments):
         row = find(connection, tenant, environments, light.environment_id)
         if row is None:
             raise _missing("environment", light.environment_id, f"#/environments/{index}")
         name = light.name or safe_name(row["name"].rpartition(".")[0] or row["name"])
         lights.append(light.model_copy(update={"name": name}))
-    qualities = [each.model_copy(update={"name": each.name or each.quality}) for each in spec.qualities]
-    named = spec.model_copy(update={"assets": assets, "environments": lights, "qualities": qualities})
-    named_entries: dict[str, Sequence[RenderAsset | RenderEnvironment | RenderQuality]]
-    named_entries = {"assets": assets, "environments": lights, "qualities": qualities}
-    for place, entries in named_entries.items():
-        seen: set[str] = set()
-        for index, entry in enumerate(entries):
-            name = str(entry.name).casefold()
-            if name in seen:
-                pointer = f"#/{place}/{index}/name"
-                raise invalid("name_clash", pointer, f'a second entry is called "{entry.name}"; name them')
-            seen.add(name)
-    _check_path(named)
+    named = order.model_copy(update={"environments": lights})
+    for pointer, message in clashes(named):
+        raise invalid("name_clash", f"#{pointer}", message)
     return named
-
-
-def _check_path(spec: RenderSpec) -> None:
-    """Refuse a pattern that gives two pictures the same name, or that contains invalid folder names."""
-    path = spec.output.path
-    counts = {
-        "asset": len(spec.assets),
-        "environment": len(spec.environments),
-        "quality": len(spec.qualities),
-    }
-    needed = ["camera", *(place for place, count in counts.items() if count > 1)]
-    lacking = [f"{{{place}}}" for place in needed if f"{{{place}}}" not in path]
-    if lacking:
-        message = f"pictures would have the same name; add {', '.join(lacking)}"
-        raise invalid("name_clash", "#/output/path", message)
 
 
 def _missing(kind: str, identifier: str, pointer: str) -> Problem:
@@ -338,14 +278,6 @@ def _count_pictures(
 
 
 def _count_cameras(entry: RenderCameras, names: list[str], pointer: str) -> int:
-    given = [bool(entry.turntable), bool(entry.views), entry.all_views, bool(entry.poses)]
-    if sum(given) != 1:
-        raise invalid(
-            "cameras_unclear", pointer, "exactly one of turntable, views, all_views and poses is needed"
-        )
-    for name in ("elevation_deg", "radius", "field_of_view_deg", "start_deg"):
-        if name in entry.model_fields_set and getattr(entry, name) is not None and not entry.turntable:
-            raise invalid("cameras_unclear", f"{pointer}/{name}", "this places a turntable")
     for index, view in enumerate(entry.views):
         if view not in names:
             shown = ", ".join(names[:8]) or "none"

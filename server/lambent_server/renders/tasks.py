@@ -1,11 +1,11 @@
 """The input of the runs of a picture order: their files and their task."""
 
+import json
 from collections.abc import Iterator, Sequence
 
 from lambent_proto.v1 import render_pb2, worker_pb2
 from sqlalchemy import Connection
 
-from lambent_server.api.rest_json import from_rest
 from lambent_server.database.schema import artifacts, events
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.jobs.rows import SUCCEEDED, Job, owner
@@ -27,9 +27,7 @@ def describe_task(
     tenant = owner(job)
     row = require_order(connection, tenant, job["order_id"], job["kind"])
     spec = row["spec"]
-    task = render_pb2.RenderTask(
-        spec=from_rest(render_pb2.RenderSpec, spec), shard=job["shard"], num_shards=row["num_shards"]
-    )
+    task = render_pb2.RenderTask(spec=json.dumps(spec), shard=job["shard"], num_shards=row["num_shards"])
     files = []
     if is_summary(job, row["num_shards"]):
         parts = newest_jobs(connection, tenant, row["id"])[: row["num_shards"]]

@@ -47,16 +47,7 @@ def describe_run(connection: Connection, job: Job, settings: Settings) -> worker
     tenant = owner(job)
     inputs = inputs_of(connection, job)
     response = worker_pb2.StartResponse(
-        spec=job_pb2.JobSpec(
-            scene_id=job["scene_id"],
-            preset=job["preset"],
-            params=job["params"],
-            gpus=job["gpus"],
-            priority=job["priority"],
-            labels=job["labels"],
-            kind=job["kind"],
-            seed=job["seed"],
-        ),
+        **{name: job[name] for name in ("kind", "scene_id", "preset", "params", "gpus", "seed")},
         files=inputs.files,
         check_scene=inputs.check_scene,
         device="cuda" if job["gpus"] else "cpu",

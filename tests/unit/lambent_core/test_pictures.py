@@ -1,28 +1,15 @@
-"""What pictures are to be made, against the messages that carry it."""
+"""Orders of pictures: their settings, and what gives two pictures one name."""
 
 import pytest
 from lambent_core import pictures
-from lambent_proto.v1 import render_pb2
-
-MESSAGES = render_pb2.DESCRIPTOR.message_types_by_name
-NOT_ORDERED = {"RenderTask", "RenderFailure"}
-
-
-@pytest.mark.parametrize("name", sorted(set(MESSAGES) - NOT_ORDERED))
-def test_a_model_and_its_message_have_the_same_fields(name):
-    assert set(getattr(pictures, name).model_fields) == set(MESSAGES[name].fields_by_name)
-
-
-def test_the_settings_of_a_picture_are_those_of_the_message_but_for_their_name():
-    fields = set(pictures.RenderSettings.model_fields)
-    assert fields == set(MESSAGES["RenderQuality"].fields_by_name) - {"name"}
 
 
 def test_every_setting_says_what_it_does():
     """The options of commands and the description of the interface show it."""
-    for name, field in pictures.RenderSettings.model_fields.items():
-        assert field.description, name
-        assert field.description.endswith("."), name
+    for model in (pictures.RenderSettings, pictures.EnvironmentInput):
+        for name, field in model.model_fields.items():
+            assert field.description, name
+            assert field.description.endswith("."), name
 
 
 def test_whole_numbers_may_come_from_json_and_from_arrays():
@@ -34,3 +21,32 @@ def test_whole_numbers_may_come_from_json_and_from_arrays():
         "spp": 4,
         "seed": 3,
     }
+
+
+@pytest.mark.parametrize(
+    ("changes", "place"),
+    [
+        ({}, None),
+        ({"assets": [{"bundle_id": "a"}, {"bundle_id": "b", "name": "A"}]}, "/assets/1/name"),
+        ({"qualities": [{}, {"name": "refined", "spp": 9}]}, "/qualities/1/name"),
+        ({"qualities": [{}, {"spp": 9, "name": "b"}], "output": {"path": "{camera}"}}, "/output/path"),
+    ],
+)
+def test_what_gives_two_pictures_one_name_is_pointed_at(changes, place):
+    body = {
+        "assets": [{"bundle_id": "a"}],
+        "environments": [{"environment_id": "e"}],
+        "cameras": [{"all_views": True}],
+    }
+    spec = pictures.RenderSpec.model_validate(body | changes)
+    assert [pointer for pointer, _ in pictures.clashes(spec)] == ([place] if place else [])
+
+
+def test_an_order_is_the_same_after_its_json():
+    body = {
+        "assets": [{"bundle_id": "a"}],
+        "environments": [{"environment_id": "e", "rotate_deg": 4.0}],
+        "cameras": [{"turntable": 2, "elevation_deg": 0.0}, {"views": ["x"]}],
+    }
+    spec = pictures.RenderSpec.model_validate(body)
+    assert pictures.RenderSpec.model_validate_json(spec.model_dump_json()) == spec

@@ -218,28 +218,19 @@ def _table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
 def as_csv(content: Content) -> str:
     """Return every figure as one line of CSV, with where it belongs and what its error is over."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    head = [
-        "scene",
-        "group",
-        "layout",
-        "lights",
-        "ablation",
-        "figure",
-        "mean",
-        "standard_error",
-        "over",
-        "count",
+    head = "scene,group,layout,lights,ablation,figure,mean,standard_error,over,count"
+    lines = [
+        [row.scene or "mean", row.group, row.layout, row.setting, row.ablation, name, *_plain(value)]
+        for row in (*content.rows, *content.averages)
+        for name, value in row.values.items()
     ]
-    writer.writerow(head)
-    for row in (*content.rows, *content.averages):
-        for name, value in row.values.items():
-            where = [row.scene or "mean", row.group, row.layout, row.setting, row.ablation]
-            writer.writerow([*where, name, *_plain(value)])
-    for ablation, figures in content.differences.items():
-        for name, value in figures.items():
-            writer.writerow(["difference to full", "", "", "", ablation, name, *_plain(value)])
+    lines += [
+        ["difference to full", "", "", "", ablation, name, *_plain(value)]
+        for ablation, figures in content.differences.items()
+        for name, value in figures.items()
+    ]
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([head.split(","), *lines])
     return text.getvalue()
 
 
@@ -252,20 +243,12 @@ def as_json(content: Content) -> str:
     """Return everything as JSON, the published figures included."""
 
     def row(found: Row) -> dict[str, Any]:
-        return {
-            "scene": found.scene,
-            "group": found.group,
-            "layout": found.layout,
-            "lights": found.setting,
-            "ablation": found.ablation,
-            "label": found.label,
-            "num_runs": found.num_runs,
-            "figures": {name: asdict(item) for name, item in found.values.items()},
-        }
+        record = asdict(found)
+        return record | {"lights": record.pop("setting"), "figures": record.pop("values")}
 
     def published(found: PublishedRow) -> dict[str, Any]:
-        names = ("scene", "group", "method", "source")
-        return {**{name: getattr(found, name) for name in names}, "figures": dict(found.values)}
+        record = asdict(found)
+        return record | {"figures": record.pop("values")}
 
     tables = ("ablations", "tensoir_synthetic", "openillumination")
     record = {

@@ -6,21 +6,21 @@ from pathlib import Path
 
 from lambent_capture.checks.check_result import CaptureCheck
 from lambent_core.reporter import Reporter
-from lambent_proto.v1 import job_pb2, render_pb2, worker_pb2
+from lambent_proto.v1 import worker_pb2
+
+from lambent_run.run.parameters import JobParameters
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Order:
-    """A job with its folders, device and reporter."""
+    """The server's order, with the folders on this machine and the reporter."""
 
-    spec: job_pb2.JobSpec
+    start: worker_pb2.StartResponse
     scene_dir: Path
     run_dir: Path
-    device: str
-    adjustments: worker_pb2.Adjustments
     reporter: Reporter
-    render: render_pb2.RenderTask = field(default_factory=render_pb2.RenderTask)
-    """The pictures to make; empty for other kinds."""
+    parameters: JobParameters = field(default_factory=JobParameters)
+    """Of the kinds `train` and `prepare`."""
     checked: CaptureCheck | None = None
     """Result of a check of the scene whose findings were reported already."""
 

@@ -4,7 +4,8 @@ Where the server offers the estimate of an earlier job of the scene, its correct
 nor torch: fetching the one and importing the other would take most of the time that a person waits.
 """
 
-import json
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from lambent_proto.v1 import job_pb2, worker_pb2
 from lambent_run.job.connection import Connection, RefusedError
 from lambent_run.run.folder import done_inputs, task_folder
 from lambent_run.run.kept import MADE_FROM, WORKSPACE, is_made_from
+from lambent_run.run.parameters import JobParameters
 from lambent_run.run.preparation import cameras_hash, files_hash, ingest_hash
 
 if TYPE_CHECKING:
@@ -25,25 +27,25 @@ if TYPE_CHECKING:
     from lambent_run.job.order import Order
 
 KIND = "prepare"
-CORRECTIONS = "corrections"
-"""Parameter of an order: corrections of masks as JSON; see `lambent_capture.masks.corrections`."""
 ARTIFACTS = "preparation"
 """What the names of the previews begin with."""
-# Parameters that name files of the capture, which has to be there to know what they are.
-_OF_FILES = ("known_lights", "masks")
 _STEPS = ("reading the estimate", "applying corrections", "drawing outlines", "sending previews")
 
 
 def show_kept(
-    connection: Connection, reporter: Reporter, start: worker_pb2.StartResponse, run_dir: Path
+    connection: Connection,
+    reporter: Reporter,
+    start: worker_pb2.StartResponse,
+    parameters: JobParameters,
+    run_dir: Path,
 ) -> bool:
     """Publish previews of the estimate that the server offers, with the order's corrections applied.
 
-    Returns False, having published nothing, where it offers none that fits the order. Raises `UsageError` for
-    corrections that cannot be used.
+    Returns False, having published nothing, where it offers none that fits the order.
     """
     kept = next((each for each in reversed(start.checkpoints) if each.stage == "masks"), None)
-    if kept is None or start.check_scene or any(start.spec.params.get(name) for name in _OF_FILES):
+    # Parameters that name files of the capture need it to know what they are.
+    if kept is None or start.check_scene or parameters.known_lights or parameters.masks:
         return False
     folder = task_folder(run_dir, "masks") / WORKSPACE
     inside = f"{folder.relative_to(run_dir).as_posix()}/"
@@ -51,7 +53,7 @@ def show_kept(
     try:
         record = files.pop(inside + MADE_FROM)
         connection.get_file(record.sha256, run_dir / record.path)
-        if read_record(folder / MADE_FROM).get("sha256") not in _ingest_hashes(start):
+        if read_record(folder / MADE_FROM).get("sha256") not in _ingest_hashes(start, parameters):
             reporter.log("masks.kept_do_not_fit")
             return False
         _tell(reporter, 0, before=0.0)
@@ -60,7 +62,7 @@ def show_kept(
     except (KeyError, RefusedError, OSError) as error:
         reporter.log("masks.kept_are_broken", reason=str(error))
         return False
-    _publish_estimate(folder, corrections_of(start.spec), reporter, run_dir / ARTIFACTS, before=0.0)
+    _publish_estimate(folder, parameters.corrections, reporter, run_dir / ARTIFACTS, before=0.0)
     return True
 
 
@@ -68,20 +70,19 @@ def run_prepare(order: "Order") -> None:
     """Find cameras and masks, and publish previews with the order's corrections applied.
 
     Masks that are not to be believed end no such job as long as a person can correct them; the previews say
-    why. Raises `SceneRefusedError` for an unusable capture, `UsageError` for corrections that cannot be used.
+    why. Raises `SceneRefusedError` for an unusable capture, `UsageError` for corrections that have no effect.
     """
     from lambent_run.run.hashes import PREPARATION
     from lambent_run.run.pipeline import run_pipeline
     from lambent_run.run.spec import RunSpec
 
-    corrections = corrections_of(order.spec)
-    uncorrected = job_pb2.JobSpec()
-    uncorrected.CopyFrom(order.spec)
-    uncorrected.params.pop(CORRECTIONS, None)
-    spec = RunSpec.from_job(uncorrected, order.adjustments, order.scene_dir)
+    corrections = order.parameters.corrections
+    spec = RunSpec.from_job(order.start, replace(order.parameters, corrections=()), order.scene_dir)
     workspace = task_folder(order.run_dir, "masks") / WORKSPACE
     try:
-        run_pipeline(spec, order.run_dir, order.device, order.reporter, PREPARATION, checked=order.checked)
+        run_pipeline(
+            spec, order.run_dir, order.start.device, order.reporter, PREPARATION, checked=order.checked
+        )
     except SceneRefusedError as refusal:
         if not is_made_from(workspace, done_inputs(order.run_dir, "ingest") or ""):
             raise
@@ -100,47 +101,29 @@ def run_prepare(order: "Order") -> None:
     _publish_given(order, out)
 
 
-def corrections_of(spec: job_pb2.JobSpec) -> list["Correction"]:
-    """Return the corrections in an order; raises `UsageError` (`config.corrections_invalid`)."""
-    text = spec.params.get(CORRECTIONS, "")
-    if not text:
-        return []
-    from lambent_capture.masks.corrections import corrections_from
-
-    try:
-        record = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise UsageError(
-            "config.corrections_invalid", f"the parameter {CORRECTIONS} is no JSON document: {error}"
-        ) from error
-    return corrections_from(record)
-
-
-def _ingest_hashes(start: worker_pb2.StartResponse) -> set[str]:
+def _ingest_hashes(start: worker_pb2.StartResponse, parameters: JobParameters) -> set[str]:
     """Return what an estimate may say it was made from if it fits the order.
 
     Files of a scene never change, so the one that a kept estimate names is right: with cameras that were
     found, or with those of the capture.
     """
     scene = files_hash((file.path, file.sha256) for file in start.files)
-    params = start.spec.params
-    lights = [light.strip() for light in params.get("lights", "").split(",") if light.strip()]
     return {
         ingest_hash(
             scene,
-            lights=lights,
-            layout=params.get("layout", ""),
+            lights=parameters.lights,
+            layout=parameters.layout,
             known_lights={},
             masks="",
             cameras=cameras,
-            light_fixed_to=params.get("light_fixed_to", "auto"),
+            light_fixed_to=parameters.light_fixed_to,
         )
-        for cameras in (cameras_hash(scene, start.spec.seed), None)
+        for cameras in (cameras_hash(scene, start.seed), None)
     }
 
 
 def _publish_estimate(
-    workspace: Path, corrections: list["Correction"], reporter: Reporter, out: Path, *, before: float
+    workspace: Path, corrections: Sequence["Correction"], reporter: Reporter, out: Path, *, before: float
 ) -> None:
     """Publish previews; `before` is the share of the job that is done before."""
     from lambent_capture.masks.preview import write_estimated

@@ -27,6 +27,7 @@ from lambent_run.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
 from lambent_run.job.order import Check, Order, Pipeline
 from lambent_run.job.run_limits import limit_run
 from lambent_run.job.server_reporter import ServerReporter, media_type
+from lambent_run.run.parameters import JobParameters
 
 # How libraries without Python's MemoryError say it: torch, onnxruntime, C++.
 _OUT_OF_MEMORY = ("Cannot allocate memory", "Failed to allocate memory", "std::bad_alloc")
@@ -38,12 +39,10 @@ def train(order: Order) -> Path:
     from lambent_run.run.pipeline import run_pipeline
     from lambent_run.run.spec import RunSpec
 
-    spec = RunSpec.from_job(order.spec, order.adjustments, order.scene_dir)
-    assert spec.config is not None, "orders have settings"
-    num_ranks = max(1, order.spec.gpus) if order.device.startswith("cuda") else ranks_in_use()
-    run_pipeline(
-        spec, order.run_dir, order.device, order.reporter, checked=order.checked, num_ranks=num_ranks
-    )
+    spec = RunSpec.from_job(order.start, order.parameters, order.scene_dir)
+    device = order.start.device
+    num_ranks = max(1, order.start.gpus) if device.startswith("cuda") else ranks_in_use()
+    run_pipeline(spec, order.run_dir, device, order.reporter, checked=order.checked, num_ranks=num_ranks)
     return task_folder(order.run_dir, "export")
 
 
@@ -52,16 +51,16 @@ def perform(order: Order) -> Path | None:
 
     None where it makes no bundle.
     """
-    if order.spec.kind == "prepare":
+    if order.start.kind == "prepare":
         from lambent_run.job.prepare import run_prepare
 
         run_prepare(order)
         return None
-    if order.spec.kind != "bake":
+    if order.start.kind != "bake":
         return train(order)
     from lambent_run.job.bake import run_bake
 
-    return run_bake(order.spec, order.scene_dir, order.run_dir, order.device, order.reporter)
+    return run_bake(order)
 
 
 def check(scene_dir: Path) -> CaptureCheck:
@@ -144,7 +143,7 @@ def _work(
         connection.call(connection.stub.Fail, request)
         return
     reporter.close()
-    if start.spec.kind == "check":
+    if start.kind == "check":
         outcome = worker_pb2.OUTCOME_SUCCEEDED
         connection.call(connection.stub.Finish, worker_pb2.FinishRequest(fence=fence, outcome=outcome))
         return
@@ -161,30 +160,29 @@ def _do(
     check: Check,
 ) -> Path | None:
     identity = connection.identity
-    if start.spec.kind == "prepare":
+    parameters = JobParameters.of(start.params) if start.kind in ("train", "prepare") else JobParameters()
+    if start.kind == "prepare":
         from lambent_run.job.prepare import show_kept
 
-        if show_kept(connection, reporter, start, identity.work_dir):
+        if show_kept(connection, reporter, start, parameters, identity.work_dir):
             return _unbroken(reporter, None)
     scene_dir = fetch_scene(connection, start, identity.work_dir.parent / "scene")
     checked = None
-    if start.check_scene or start.spec.kind == "check":
+    if start.check_scene or start.kind == "check":
         checked = check(scene_dir)
         _report_scene(connection, start.scene_name, checked)
         tell_findings(reporter, checked.report.findings)
-        if start.spec.kind == "check":
+        if start.kind == "check":
             return None
         if not checked.report.usable:
             raise SceneRefusedError(checked.report)
     restore_checkpoints(connection, reporter, start, identity.work_dir)
     order = Order(
-        spec=start.spec,
+        start=start,
         scene_dir=scene_dir,
         run_dir=identity.work_dir,
-        device=start.device,
-        adjustments=start.adjustments,
         reporter=reporter,
-        render=start.render,
+        parameters=parameters,
         checked=checked,
     )
     bundle = None
@@ -240,7 +238,7 @@ def fetch_scene(connection: Connection, start: worker_pb2.StartResponse, parent:
     Raises `InputDamagedError` if the server cannot send one of them as it was.
     """
     folder = parent / (re.sub(r"[^A-Za-z0-9._-]+", "_", start.scene_name).strip("._") or "scene")
-    is_scene = not start.HasField("render") and start.spec.kind != "bake"
+    is_scene = not start.HasField("render") and start.kind != "bake"
     for file in start.files:
         try:
             connection.get_file(file.sha256, folder / file.path)

@@ -4,16 +4,15 @@ A run that takes the place of a lost one finds what its checkpoints hold and mak
 """
 
 import io
+import json
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from google.protobuf.json_format import MessageToDict
 from lambent_core.errors import IncompleteError, RelightError, Stopped, UsageError
 from lambent_core.files import link_or_copy
 from lambent_core.reporter import Reporter
-from lambent_proto.v1 import render_pb2
 from lambent_proto.v1.job_pb2 import Progress
 from lambent_relight.batch import tiles
 from lambent_relight.batch.journal import NAME as JOURNAL
@@ -43,9 +42,9 @@ def render_pictures(order: "Order") -> None:
     (`render.spec_invalid`) for an order that cannot be meant and (`render.all_failed`) when no picture could
     be made.
     """
-    shard, num_shards = order.render.shard, order.render.num_shards
+    shard, num_shards = order.start.render.shard, order.start.render.num_shards
     try:
-        manifest = manifest_of(order.render.spec, order.scene_dir)
+        manifest = manifest_of(order.start.render.spec, order.scene_dir)
         plan = part_of(make_plan(manifest), shard, num_shards) if shard < num_shards else None
     except (ManifestError, RelightError) as error:
         raise UsageError("render.spec_invalid", f"{error.message}; {error.advice}") from error
@@ -79,7 +78,7 @@ def sum_up(order: "Order", manifest: Manifest) -> None:
         for part in parts
         for record in read_records(part / JOURNAL)
     ]
-    for each in order.render.failures:
+    for each in order.start.render.failures:
         failure = Failure(path=each.path, code=each.code, message=each.message)
         results.append(Result(path=failure.path, state="failed", failure=failure))
     _require_any(results)
@@ -87,7 +86,7 @@ def sum_up(order: "Order", manifest: Manifest) -> None:
     _summary(order.reporter, folder, results, manifest, tile_of)
     num = len(results)
     order.reporter.progress(Progress(stage=SUMMARY_STAGE, step=num, num_steps=num, fraction=1.0))
-    num_shards = order.render.num_shards
+    num_shards = order.start.render.num_shards
     num_failed = num_shards - len(parts)
     if num_failed:
         raise IncompleteError(
@@ -97,41 +96,22 @@ def sum_up(order: "Order", manifest: Manifest) -> None:
         )
 
 
-def manifest_of(spec: render_pb2.RenderSpec, inputs: Path) -> Manifest:
-    """Return the manifest of an order whose bundles and maps lie in `inputs`.
+def manifest_of(order: str, inputs: Path) -> Manifest:
+    """Return the manifest of an order (JSON of `RenderSpec`) whose bundles and maps lie in `inputs`.
 
     That is `bundles/<id>/` and `environments/<id>.<format>`. Raises ManifestError for values that no manifest
     may have.
     """
-    document: dict[str, Any] = MessageToDict(
-        spec, preserving_proto_field_name=True, always_print_fields_with_no_presence=True
-    )
-    document["schema"] = SCHEMA
+    document = json.loads(order)
     # Relative paths in a manifest are relative to the manifest.
     inputs = inputs.absolute()
     for asset in document["assets"]:
         asset["bundle"] = str(inputs / "bundles" / asset.pop("bundle_id"))
-        asset["material"] = _without_empty(asset.get("material", {}), "albedo", "albedo_gain")
     maps = {path.stem: path for path in (inputs / "environments").glob("*")}
     for light in document["environments"]:
         identifier = light.pop("environment_id")
-        # A server that does not know the field leaves it empty.
-        light["layout"] = light["layout"] or "auto"
         light["map"] = str(maps.get(identifier, inputs / "environments" / identifier))
-    document["qualities"] = [
-        _without_empty(entry, "bounces", "tone_mapping", "occlusion") for entry in document["qualities"]
-    ]
-    document["output"] = _without_empty(document.get("output", {}), "path")
-    document["cameras"] = [
-        _without_empty(entry, "name", "turntable", "views", "all_views", "poses", "start_deg")
-        for entry in document["cameras"]
-    ]
-    return read_manifest(document, inputs)
-
-
-def _without_empty(entry: dict[str, Any], *names: str) -> dict[str, Any]:
-    """Return the entry without those members that a message cannot leave out and a manifest does."""
-    return {name: value for name, value in entry.items() if name not in names or value}
+    return read_manifest({**document, "schema": SCHEMA}, inputs)
 
 
 def part_of(plan: Plan, shard: int, num_shards: int) -> Plan:
@@ -239,7 +219,7 @@ def _publish(order: "Order", folder: Path, results: list[Result], manifest: Mani
             for made in result.record.files.values():
                 reporter.artifact(made.path, folder / made.path)
     reporter.artifact(JOURNAL, folder / JOURNAL)
-    if order.render.num_shards > 1:
+    if order.start.render.num_shards > 1:
         reporter.artifact(tiles.NAME, tiles.write_tiles(folder, results))
     else:
         _summary(reporter, folder, results, manifest)

@@ -32,12 +32,7 @@ def config_for(name: str, overrides: Mapping[str, str]) -> "Config":
 
 def adjust(config: "Config", adjustments: worker_pb2.Adjustments) -> "Config":
     """Return the configuration with fewer rays or lower rates in the stages that failed."""
-    stages = dict(adjustments.stages)
-    if not stages and adjustments.stage:  # from a server of the version before
-        stages[adjustments.stage] = worker_pb2.StageAdjustments(
-            ray_chunk=adjustments.ray_chunk, learning_rate=adjustments.learning_rate
-        )
-    for stage, own in stages.items():
+    for stage, own in adjustments.stages.items():
         rays, rate = own.ray_chunk or 1.0, own.learning_rate or 1.0
         if stage == "cache":
             one = config.stage_one

@@ -16,19 +16,19 @@ from lambent_capture.loading.light_turns import LightFixedTo, as_light_fixed_to
 from lambent_capture.masks.corrections import (
     NAME,
     Correction,
-    parse_corrections,
     read_corrections,
     record_of,
 )
 from lambent_core.errors import UsageError
 from lambent_core.files import digest, write_json
 from lambent_core.layouts import PHOTOGRAPHS
-from lambent_proto.v1 import job_pb2, worker_pb2
+from lambent_proto.v1 import worker_pb2
 
 from lambent_run.run.card_option import GreyCard, look_for_photograph, parse_grey_card, refused
 from lambent_run.run.folder import begun_inputs, done_inputs
 from lambent_run.run.known_lights import kept_lights, parse_known_lights
 from lambent_run.run.masks import AUTOMATIC, KEPT_FOLDER, WHOLE_VIEW, kept_masks, masks_setting
+from lambent_run.run.parameters import JobParameters
 from lambent_run.run.settings import adjust, config_for, config_of, config_record
 
 if TYPE_CHECKING:
@@ -41,13 +41,6 @@ _MAY_CHANGE = frozenset({"device", "scene"})
 _MAY_ALWAYS_CHANGE = frozenset({"grey_card"})
 # And what may until the training begins: nothing before it reads the settings of the method.
 _MAY_CHANGE_BEFORE_TRAINING = frozenset({"preset", "config", "corrections"})
-# Parameters of an order that are no settings of the method.
-LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS = "lights", "layout", "known_lights", "masks"
-LIGHT_FIXED_TO = "light_fixed_to"
-CORRECTIONS = "corrections"
-GREY_CARD = "grey_card"
-MOST_BYTES = 64 * 1024
-"""Of the corrections in an order."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -133,46 +126,38 @@ class RunSpec:
             layout=layout,
             light_fixed_to=as_light_fixed_to(light_fixed_to),
             corrections=() if corrections is None else tuple(read_corrections(corrections)),
-            grey_card=_card_in(scene, grey_card),
+            grey_card=_found_card(scene, parse_grey_card(grey_card) if grey_card else None),
             **_given(known_lights, masks, whole_view=whole_view),
         )
 
     @classmethod
-    def from_job(cls, job: job_pb2.JobSpec, adjustments: worker_pb2.Adjustments, scene: Path) -> "RunSpec":
+    def from_job(cls, start: worker_pb2.StartResponse, parameters: JobParameters, scene: Path) -> "RunSpec":
         """Return the specification for an order, with the changes that its failures so far have caused.
 
-        `known_lights` and `masks` of an order name files and a folder of its capture: `sky.exr`, or
-        `sunset=a.hdr,snow=b.hdr`; `masks` may be "none". `corrections` is the JSON document itself, at most
-        `MOST_BYTES` of it, `grey_card` is as on the command line. Raises `ConfigError` for an unknown preset
-        or setting and for files outside the capture, `UsageError` for what cannot be used.
+        Raises `ConfigError` for an unknown preset or setting and for files outside the capture, `UsageError`
+        for what cannot be used.
         """
-        settings = dict(job.params)
-        lights, layout, known_lights, masks, corrections = (
-            settings.pop(name, "") for name in (LIGHTS, LAYOUT, KNOWN_LIGHTS, MASKS, CORRECTIONS)
-        )
-        fixed_to, grey_card = settings.pop(LIGHT_FIXED_TO, "auto"), settings.pop(GREY_CARD, "")
         from flashcache.config import with_overrides
         from flashcache.presets import preset as preset_of
 
-        config = with_overrides(preset_of(job.preset), settings)
-        config = adjust(config, adjustments)
         items = []
-        for item in _listed(known_lights):
+        for item in parameters.known_lights:
             light, equals, name = item.rpartition("=")
-            items.append(f"{light}{equals}{_inside(scene, KNOWN_LIGHTS, name, 'name a file of the capture')}")
-        folder = None
+            path = _inside(scene, "known_lights", name, "name a file of the capture")
+            items.append(f"{light}{equals}{path}")
+        masks, folder = parameters.masks, None
         if masks not in (AUTOMATIC, WHOLE_VIEW):
-            folder = _inside(scene, MASKS, masks, f'name a folder of the capture, or "{WHOLE_VIEW}"')
+            folder = _inside(scene, "masks", masks, f'name a folder of the capture, or "{WHOLE_VIEW}"')
         return cls(
             scene=scene,
-            config=config,
-            preset=job.preset,
-            seed=job.seed,
-            lights=tuple(_listed(lights)),
-            layout=layout,
-            light_fixed_to=as_light_fixed_to(fixed_to),
-            corrections=_ordered_corrections(corrections),
-            grey_card=_card_in(scene, grey_card),
+            config=adjust(with_overrides(preset_of(start.preset), parameters.settings), start.adjustments),
+            preset=start.preset,
+            seed=start.seed,
+            lights=parameters.lights,
+            layout=parameters.layout,
+            light_fixed_to=parameters.light_fixed_to,
+            corrections=parameters.corrections,
+            grey_card=_found_card(scene, parameters.grey_card),
             **_given(items, folder, whole_view=masks == WHOLE_VIEW),
         )
 
@@ -329,20 +314,9 @@ def _changeable(run_dir: Path) -> frozenset[str]:
     return always if training_has_begun(run_dir) else always | _MAY_CHANGE_BEFORE_TRAINING
 
 
-def _ordered_corrections(text: str) -> tuple[Correction, ...]:
-    if len(text.encode()) > MOST_BYTES:
-        raise UsageError(
-            "config.corrections_invalid",
-            f"the corrections of masks are longer than {MOST_BYTES // 1024} KiB; leave some out",
-        )
-    return tuple(parse_corrections(text, f'"{CORRECTIONS}"')) if text else ()
-
-
-def _card_in(scene: Path, text: str) -> GreyCard | None:
-    if not text:
-        return None
-    card = parse_grey_card(text)
-    look_for_photograph(scene, card)
+def _found_card(scene: Path, card: GreyCard | None) -> GreyCard | None:
+    if card is not None:
+        look_for_photograph(scene, card)
     return card
 
 
@@ -351,10 +325,6 @@ def _given(known_lights: Sequence[str], masks: Path | None, *, whole_view: bool)
     names, files = kept_lights(parse_known_lights(known_lights))
     setting = masks_setting(masks, whole_view=whole_view)
     return {"known_lights": names, "masks": setting, "given": {**files, **kept_masks(masks)}}
-
-
-def _listed(text: str) -> list[str]:
-    return [item.strip() for item in text.split(",") if item.strip()]
 
 
 def _inside(scene: Path, parameter: str, name: str, advice: str) -> Path:

@@ -1,7 +1,6 @@
 """batch: assets x environments x cameras x qualities into files, on this machine or on a server."""
 
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -109,7 +108,7 @@ def _render(
 
     began = time.monotonic()
     results: list[Result] = []
-    files = replace(manifest.files, linear=True)
+    files = manifest.files.model_copy(update={"linear": True})
     with open_journal(folder) as journal:
         try:
             # One by one: what there is when Ctrl-C comes is in the table.

@@ -39,7 +39,7 @@ def batch_on_server(
     """
     with Client(url) as client:
         with relight_errors():
-            maps = {light.path for light in manifest.environments if light.path is not None}
+            maps = {light.map for light in manifest.environments if light.map is not None}
             identifiers = {path: client.push_environment(path).id for path in sorted(maps)}
             order = order_of(manifest, identifiers) | {"shards": shards}
         key = hashlib.sha256(json.dumps(order, sort_keys=True).encode()).hexdigest()
@@ -98,7 +98,7 @@ def _bring(
     journal: Journal,
     artifacts: dict[tuple[str, str], Artifact],
 ) -> Result:
-    path = manifest.files.path.format(
+    path = manifest.output.path.format(
         asset=safe_name(record.asset),
         environment=safe_name(record.environment),
         quality=safe_name(record.quality),

@@ -6,15 +6,15 @@ from typing import Annotated
 
 import typer
 from lambent_core.extras import pip_install
-from lambent_relight.environment.axes import OURS
-from lambent_relight.environment.layouts import AUTO
+from lambent_core.pictures import EnvironmentInput
 
-from lambent.cli.environment_options import EnvAxesOption, EnvLayoutOption, environment_input
 from lambent.cli.output import JsonOption, Output
 from lambent.cli.rendering import open_bundle, relight_errors
+from lambent.cli.setting_options import takes
 from lambent.errors import UsageProblemError
 
 
+@takes("given", EnvironmentInput)
 def export(
     source: Annotated[
         Path, typer.Argument(metavar="RUN|BUNDLE", help="Folder made by lambent train, or a bundle.")
@@ -52,8 +52,6 @@ def export(
         Path | None,
         typer.Option(metavar="MAP", help="Light of the Mitsuba scene; by default the recovered one."),
     ] = None,
-    env_axes: EnvAxesOption = OURS,
-    env_layout: EnvLayoutOption = AUTO,
     tier: Annotated[str, typer.Option(help="Of a bundle: full, or lite, without networks, for phones.")] = "",
     weights: Annotated[
         str, typer.Option(help="Of a bundle: fp16, fp32, none, or auto: fp16 unless that moves the answers.")
@@ -78,6 +76,8 @@ def export(
         ),
     ] = "",
     as_json: JsonOption = False,
+    *,
+    given: EnvironmentInput,
 ) -> None:
     """Write the relightable bundle of a trained run or, with formats, its asset for other programs."""
     wanted = {"glb": glb, "usdz": usdz, "obj": obj, "mitsuba": mitsuba}
@@ -104,11 +104,7 @@ def export(
 
     with relight_errors():
         bundle = open_bundle(_bundle_of(source))
-        light = (
-            open_environment(env, environment_input(env_axes, 0.0, False, env_layout))
-            if env is not None
-            else None
-        )
+        light = open_environment(env, given) if env is not None else None
         written = write_formats(
             bundle,
             output_folder,

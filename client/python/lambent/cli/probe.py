@@ -8,37 +8,29 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from lambent_core.colour import srgb_from_linear
+from lambent_core.pictures import EnvironmentInput
 from lambent_relight import Environment, write_environment
-from lambent_relight.environment.axes import OURS
 from lambent_relight.environment.input import OpenedEnvironment, open_environment
-from lambent_relight.environment.layouts import AUTO
 from PIL import Image
 
-from lambent.cli.environment_options import (
-    EnvAxesOption,
-    EnvLayoutOption,
-    MendEnvOption,
-    SunClampOption,
-    environment_input,
-)
 from lambent.cli.output import JsonOption, Output
 from lambent.cli.rendering import relight_errors
+from lambent.cli.setting_options import takes
 
 _NUM_LIGHTS = 4
 
 
+@takes("given", EnvironmentInput)
 def probe(
     env: Annotated[Path, typer.Argument(metavar="MAP", help="Environment map, .exr or .hdr.")],
     output_folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Where files go.")],
-    env_axes: EnvAxesOption = OURS,
-    env_layout: EnvLayoutOption = AUTO,
-    sun_clamp: SunClampOption = 0.0,
-    mend_env: MendEnvOption = False,
     rotate_deg: Annotated[float, typer.Option(help="Turn the light by this angle about +z, degrees.")] = 0.0,
     exposure_ev: Annotated[float, typer.Option(help="Brighten the PNGs by this many stops.")] = 0.0,
     from_deg: Annotated[float, typer.Option(help="Azimuth of the eye; 0 looks at the balls from +x.")] = 0.0,
     size: Annotated[int, typer.Option(help="Width of the balls, pixels.", min=2, max=4096)] = 256,
     as_json: JsonOption = False,
+    *,
+    given: EnvironmentInput,
 ) -> None:
     """Write chrome_ball.png, grey_ball.png, map.png, environment.exr (our axes) and probe.json into DIR."""
     output = Output(as_json)
@@ -46,7 +38,7 @@ def probe(
         # Compiled code takes a moment to import, which the help text should not pay.
         from lambent_relight.environment.probes import chrome_ball, grey_ball, upright_map
 
-        opened = open_environment(env, environment_input(env_axes, sun_clamp, mend_env, env_layout))
+        opened = open_environment(env, given)
         for note in opened.notes(env.name):
             output.note(note)
         light = opened.environment.rotated(rotate_deg)

@@ -4,27 +4,27 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from lambent_core.pictures import RenderSettings
-from lambent_relight import MaterialEdit, load_cameras
-from lambent_relight.batch.manifest import Asset, Files, Light
-from lambent_relight.environment.axes import OURS
-from lambent_relight.environment.layouts import AUTO
+from lambent_core.pictures import EnvironmentInput, RenderMaterial, RenderSettings
+from lambent_relight import load_cameras
+from lambent_relight.batch.manifest import Files
 from lambent_relight.object_cameras import around_object
 
-from lambent.cli.environment_options import (
-    EnvAxesOption,
-    EnvLayoutOption,
-    MendEnvOption,
-    SunClampOption,
-    environment_input,
-)
 from lambent.cli.output import JsonOption, Output
-from lambent.cli.rendering import Shot, make_pictures, open_bundle, relight_errors, rows_of
-from lambent.cli.setting_options import takes_settings
+from lambent.cli.rendering import (
+    Shot,
+    asset_here,
+    light_here,
+    make_pictures,
+    open_bundle,
+    relight_errors,
+    rows_of,
+)
+from lambent.cli.setting_options import from_options, takes
 from lambent.errors import UsageProblemError
 
 
-@takes_settings()
+@takes("settings", RenderSettings)
+@takes("given", EnvironmentInput)
 def relight(
     bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle folder or zip.")],
     env: Annotated[
@@ -50,10 +50,6 @@ def relight(
         float, typer.Option(help="Turn the object, not its light, by this angle about +z, degrees.")
     ] = 0.0,
     size: Annotated[int, typer.Option(help="Side of turntable pictures, pixels; 0: as photographed.")] = 0,
-    env_axes: EnvAxesOption = OURS,
-    env_layout: EnvLayoutOption = AUTO,
-    sun_clamp: SunClampOption = 0.0,
-    mend_env: MendEnvOption = False,
     half: Annotated[
         bool,
         typer.Option("--half/--float", help="Half or 32-bit floats in the EXR; depth and mask have 32 bits."),
@@ -61,6 +57,7 @@ def relight(
     as_json: JsonOption = False,
     *,
     settings: RenderSettings,
+    given: EnvironmentInput,
 ) -> None:
     """Render a bundle under other environments: DIR/<map>/<camera>.png (sRGB) and .exr (linear).
 
@@ -70,23 +67,23 @@ def relight(
         raise UsageProblemError(
             "cli.cameras", "one of --cameras and --turntable is needed", "for a first look: --turntable 8"
         )
-    light = environment_input(env_axes, sun_clamp, mend_env, env_layout)
+    material = from_options(
+        RenderMaterial,
+        albedo_gain=list(albedo_gain),
+        albedo=None if albedo is None else list(albedo),
+        roughness_scale=roughness_scale,
+    )
     names = [path.stem for path in env]
     if len(set(names)) != len(names):
         raise UsageProblemError("cli.same_names", f"two maps are called the same: {names}", "rename one")
     with relight_errors():
         opened = open_bundle(bundle)
         views = load_cameras(cameras) if cameras is not None else around_object(opened, turntable, size=size)
-        asset = Asset(
-            name=bundle.name,
-            path=bundle,
-            edit=MaterialEdit(albedo_gain=albedo_gain, albedo=albedo, roughness_scale=roughness_scale),
-            object_rotate_deg=object_rotate_deg,
-        )
+        asset = asset_here(bundle, material=material, object_rotate_deg=object_rotate_deg)
         shots = [
             Shot(
                 path=f"{path.stem}/{view.name}",
-                light=Light(name=path.name, path=path, given=light, rotate_deg=rotate_deg),
+                light=light_here(path, given, rotate_deg),
                 camera=view,
             )
             for path in env

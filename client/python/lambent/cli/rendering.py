@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from lambent_core.files import whole_file
-from lambent_core.pictures import RenderSettings
+from lambent_core.pictures import EnvironmentInput, RenderQuality, RenderSettings
 from lambent_relight import Bundle, BundleError, Camera, RelightError, load_bundle
 from lambent_relight.batch.journal import Journal, Record, open_journal
-from lambent_relight.batch.manifest import SUFFIXES, Asset, Files, Light, Quality
+from lambent_relight.batch.manifest import SUFFIXES, Asset, Files, Light
 from lambent_relight.batch.plan import Plan, Row, bundle_digest, check_names, light_digests
 from lambent_relight.batch.run import Result, run_batch
 
@@ -68,17 +68,27 @@ def open_bundle(bundle: Path) -> Bundle:
     return load_bundle(bundle)
 
 
+def asset_here(bundle: Path, **fields: Any) -> Asset:
+    """Return an asset of a batch for a bundle that may have any name."""
+    return Asset.model_construct(name=bundle.name, bundle=bundle, **fields)
+
+
+def light_here(path: Path, given: EnvironmentInput, rotate_deg: float = 0.0) -> Light:
+    """Return an environment of a batch for a map that may have any name."""
+    return Light.model_construct(name=path.name, map=path, rotate_deg=rotate_deg, **dict(given))
+
+
 def rows_of(shots: Sequence[Shot], bundle: Bundle, asset: Asset, settings: RenderSettings) -> list[Row]:
     """Return pictures of one bundle as rows of a batch.
 
     Raises `environment.missing` for a map that is not there, `batch.same_name` for two cameras of one name.
     """
     digest = bundle_digest(bundle)
-    quality = Quality(name=settings.quality, **settings.model_dump())
+    quality = RenderQuality.model_construct(**dict(settings))
     maps = light_digests([shot.light for shot in shots])
     rows = []
     for shot in shots:
-        found = maps[shot.light.name]
+        found = maps[shot.light.called]
         if isinstance(found, Exception):
             raise found
         rows.append(

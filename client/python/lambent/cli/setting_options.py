@@ -1,56 +1,72 @@
-"""The settings of a picture as options, made from their one declaration."""
+"""The fields of a model as options of a command, made from their one declaration."""
 
 import inspect
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
-from lambent_core.pictures import RenderSettings
-from lambent_relight.settings import settled
+from lambent_core.pictures import Wanted
+from lambent_relight.validation import problems_of
+from pydantic import ValidationError
 
-from lambent.cli.rendering import check_choice, relight_errors
+from lambent.errors import UsageProblemError
 
 _TYPES = {"string": str, "integer": int, "number": float, "boolean": bool}
-_SWITCHES = {"indirect": "--indirect/--direct-only"}
+_NAMES = {
+    "indirect": "--indirect/--direct-only",
+    "axes": "--env-axes",
+    "layout": "--env-layout",
+    "mend": "--mend-env",
+}
+Model = TypeVar("Model", bound=Wanted)
 
 
-def takes_settings(**defaults: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that gives a command every setting as an option, and its value as `settings`.
+def takes(parameter: str, model: type[Wanted], **defaults: Any) -> Callable[[Callable[..., None]], Any]:
+    """Return a decorator that gives a command every field of `model` as an option, and their values at once.
 
-    `defaults` are those of this command where they are others. Raises `cli.bad_choice` for a word that is
-    none of the choices, and the code of the setting for a number out of range.
+    The command receives them as `parameter`. `defaults` are those of this command where they are others.
     """
-    schema = RenderSettings.model_json_schema()["properties"]
+    nodes = model.model_json_schema()["properties"]
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         def run(**given: Any) -> None:
-            chosen = {name: given.pop(name) for name in schema}
-            for name, node in schema.items():
-                if "enum" in node:
-                    check_choice(f"--{name.replace('_', '-')}", chosen[name], node["enum"])
-            with relight_errors():
-                settings = settled(**chosen)
-            command(settings=settings, **given)
+            command(**{parameter: from_options(model, **{name: given.pop(name) for name in nodes})}, **given)
 
-        options = [_option(name, node, defaults) for name, node in schema.items()]
-        own = inspect.signature(command, eval_str=True).parameters
-        before = [each.replace(kind=each.KEYWORD_ONLY) for each in own.values() if each.name != "settings"]
-        run.__signature__ = inspect.Signature([*before, *options])  # type: ignore[attr-defined]
-        run.__annotations__ = {each.name: each.annotation for each in (*before, *options)}
+        own = inspect.signature(command, eval_str=True).parameters.values()
+        kept = [each.replace(kind=each.KEYWORD_ONLY) for each in own if each.name != parameter]
+        options = [_option(name, node, defaults) for name, node in nodes.items()]
+        run.__signature__ = inspect.Signature([*kept, *options])  # type: ignore[attr-defined]
+        run.__annotations__ = {each.name: each.annotation for each in (*kept, *options)}
         run.__doc__ = command.__doc__
         return run
 
     return decorate
 
 
+def from_options(model: type[Model], **values: Any) -> Model:
+    """Return a model of the values of options; raises `cli.bad_choice` with all that cannot be used."""
+    try:
+        return model(**values)
+    except ValidationError as error:
+        faults = []
+        for problem in problems_of(error, model):
+            name = problem.pointer.split("/")[1]
+            faults.append(f"{_option_name(name)}: {problem.message.removeprefix(f'{name}: ')}")
+        raise UsageProblemError("cli.bad_choice", "; ".join(faults), "see --help for every option") from error
+
+
+def _option_name(name: str) -> str:
+    return _NAMES.get(name, f"--{name.replace('_', '-')}").partition("/")[0]
+
+
 def _option(name: str, node: dict[str, Any], defaults: dict[str, Any]) -> inspect.Parameter:
-    kind = _TYPES[node["type"]]
-    text = node["description"] + (f" ({', '.join(node['enum'])})" if "enum" in node else "")
-    words = [_SWITCHES[name]] if name in _SWITCHES else []
-    limits: dict[str, Any] = {"min": int(node["minimum"]), "max": int(node["maximum"])} if kind is int else {}
+    limits = f" ({node['minimum']:.10g} to {node['maximum']:.10g})" if "minimum" in node else ""
+    text = node["description"] + (f" ({', '.join(node['enum'])})" if "enum" in node else limits)
     return inspect.Parameter(
         name,
         inspect.Parameter.KEYWORD_ONLY,
         default=defaults.get(name, node["default"]),
-        annotation=Annotated[kind, typer.Option(*words, help=text, **limits)],
+        annotation=Annotated[
+            _TYPES[node["type"]], typer.Option(*filter(None, [_NAMES.get(name)]), help=text)
+        ],
     )

@@ -2,48 +2,41 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
-from lambent_core.pictures import RenderSettings
+from lambent_core.pictures import EnvironmentInput, RenderSettings
 from lambent_relight import Bundle
-from lambent_relight.batch.manifest import Asset, Files, Light
+from lambent_relight.batch.manifest import Files, Light
 from lambent_relight.batch.plan import Row
 from lambent_relight.batch.studio import Studio
-from lambent_relight.environment.axes import OURS
-from lambent_relight.environment.layouts import AUTO
 from lambent_relight.object_cameras import around_object
 from PIL import Image
 
 from lambent import film
-from lambent.cli.environment_options import (
-    EnvAxesOption,
-    EnvLayoutOption,
-    MendEnvOption,
-    SunClampOption,
-    environment_input,
-)
 from lambent.cli.output import JsonOption, Output
 from lambent.cli.rendering import (
     PictureBar,
     Shot,
+    asset_here,
     check_choice,
+    light_here,
     make_pictures,
     open_bundle,
     relight_errors,
     rows_of,
 )
-from lambent.cli.setting_options import takes_settings
+from lambent.cli.setting_options import takes
 from lambent.errors import UsageProblemError
 
 TURNS = ("camera", "light", "object")
 ANIMATIONS = ("webp", "gif")
 
 
-@takes_settings(spp=32, background="white")
+@takes("settings", RenderSettings, spp=32, background="white")
+@takes("given", EnvironmentInput)
 def turntable(
     bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle folder or zip.")],
     env: Annotated[Path, typer.Option("--env", metavar="MAP", help="Environment map, .exr or .hdr.")],
@@ -77,13 +70,10 @@ def turntable(
     probes: Annotated[
         bool, typer.Option("--probes", help="Draw a chrome and a grey ball into the lower left corner.")
     ] = False,
-    env_axes: EnvAxesOption = OURS,
-    env_layout: EnvLayoutOption = AUTO,
-    sun_clamp: SunClampOption = 0.0,
-    mend_env: MendEnvOption = False,
     as_json: JsonOption = False,
     *,
     settings: RenderSettings,
+    given: EnvironmentInput,
 ) -> None:
     """Render a whole turn: straight into a film, or into DIR/frames and DIR/turntable.<format>.
 
@@ -104,12 +94,12 @@ def turntable(
     elif crf is not None:
         raise UsageProblemError("cli.bad_choice", f"--crf with {animation}", "use it for .mp4 and .webm")
     output = Output(as_json)
-    light = Light(name=env.name, path=env, given=environment_input(env_axes, sun_clamp, mend_env, env_layout))
-    files = Files(suffixes=("png",), linear=not straight, probes=probes)
+    light = light_here(env, given)
+    files = Files(files=["png"], linear=not straight, probes=probes)
     with relight_errors():
         opened = open_bundle(bundle)
         shots = shots_of_turn(opened, light, turn, count, size=size, rotate_deg=rotate_deg)
-        rows = rows_of(shots, opened, Asset(name=bundle.name, path=bundle), settings)
+        rows = rows_of(shots, opened, asset_here(bundle), settings)
         if straight:
             _stream(rows, files, film.FilmWriter(target, fps=fps, crf=crf), output)
         else:
@@ -140,7 +130,7 @@ def shots_of_turn(
         angle = 360.0 * index / count
         view = views[{"camera": index, "light": 0, "object": -index % count}[turn]]
         light_deg = rotate_deg + {"camera": 0.0, "light": angle, "object": -angle}[turn]
-        turned = replace(light, rotate_deg=light_deg)
+        turned = light.model_copy(update={"rotate_deg": light_deg})
         shots.append(Shot(path=f"frames/{index:04d}", light=turned, camera=view))
     return shots
 

@@ -5,21 +5,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from lambent_core.pictures import EnvironmentInput
 from lambent_relight import Renderer
-from lambent_relight.environment.axes import OURS
-from lambent_relight.environment.input import EnvironmentInput
-from lambent_relight.environment.layouts import AUTO
 from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
 
-from lambent.cli.environment_options import (
-    EnvAxesOption,
-    EnvLayoutOption,
-    MendEnvOption,
-    SunClampOption,
-    environment_input,
-)
 from lambent.cli.output import JsonOption, Output
 from lambent.cli.rendering import check_choice, open_bundle, relight_errors
+from lambent.cli.setting_options import takes
 from lambent.desktop.channels import RADIANCE, SURFACE
 from lambent.desktop.state import BACKDROPS
 from lambent.desktop.viewer import DesktopOptions, show
@@ -28,6 +20,7 @@ _DESKTOP = "With --desktop"
 _option = partial(typer.Option, rich_help_panel=_DESKTOP)
 
 
+@takes("light", EnvironmentInput)
 def view(
     context: typer.Context,
     bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle folder or zip.")],
@@ -55,15 +48,12 @@ def view(
     compare: Annotated[bool, _option("--compare", help="Begin with two maps side by side.")] = False,
     split: Annotated[float, _option(help="Border of a comparison, 0 to 1.", min=0.0, max=1.0)] = 0.5,
     save_to: Annotated[Path, _option(metavar="DIR", help="Where the key s saves.")] = Path(),
-    env_axes: EnvAxesOption = OURS,
-    env_layout: EnvLayoutOption = AUTO,
-    sun_clamp: SunClampOption = 0.0,
-    mend_env: MendEnvOption = False,
     as_json: JsonOption = False,
+    *,
+    light: EnvironmentInput,
 ) -> None:
     """Look at a bundle from all sides and in any light."""
     output = Output(as_json)
-    light = environment_input(env_axes, sun_clamp, mend_env, env_layout)
     environments = list(env or ())
     if not desktop:
         _show_in_browser(context, bundle, environments, light, output)

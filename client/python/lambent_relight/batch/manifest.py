@@ -1,26 +1,36 @@
-"""The parts of a batch. Source: docs/howto/batch.md (the manifest)."""
+"""The manifest of a batch: an order of pictures whose bundles, maps and cameras may be files here.
 
-from dataclasses import dataclass, field
+Source: docs/howto/batch.md.
+"""
+
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from lambent_core.errors import CameraError
-from lambent_core.pictures import WHOLE, RenderCameras, RenderSettings
-from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from lambent_core.pictures import (
+    UNCLEAR,
+    Entries,
+    EnvironmentInput,
+    RenderAsset,
+    RenderCameras,
+    RenderEnvironment,
+    RenderOutput,
+    RenderQuality,
+    RenderSettings,
+    RenderSpec,
+    safe_name,
+)
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, model_validator
+from pydantic_core import PydanticCustomError
 
-from lambent_relight.aovs import PASSES
-from lambent_relight.cameras import parse_camera_list
 from lambent_relight.edits import MaterialEdit
-from lambent_relight.environment.input import EnvironmentInput
 
 SCHEMA = "lambent-batch/1"
 """The only value of `schema` that a reader accepts."""
 MAX_PICTURES = 100_000
 SUFFIXES = ("png", "exr")
-DEFAULT_PATH = "{asset}/{environment}/{quality}/{camera}"
 LINEAR = "npz"
 """Suffix of a picture's linear radiance, which exposure, tone mapping and background are applied to."""
-Text = Annotated[str, Field(min_length=1, max_length=200)]
 
 
 def place(path: str, suffix: str) -> str:
@@ -28,107 +38,118 @@ def place(path: str, suffix: str) -> str:
     return f".linear/{path}.{suffix}" if suffix == LINEAR else f"{path}.{suffix}"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Asset:
-    """A bundle in one material and pose: a folder or zip, or the id of a bundle on a server."""
-
-    name: str
-    path: Path | None = None
-    bundle_id: str = ""
-    edit: MaterialEdit = field(default_factory=MaterialEdit)
-    object_rotate_deg: float = 0.0
-    pointer: str = field(default="", compare=False)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Light:
-    """An environment map as it is to be used: a file, or the id of an environment on a server."""
-
-    name: str
-    path: Path | None = None
-    environment_id: str = ""
-    given: EnvironmentInput = field(default_factory=EnvironmentInput)
-    rotate_deg: float = 0.0
-    pointer: str = field(default="", compare=False)
-
-
 def _as_path(value: Any, info: ValidationInfo) -> Any:
     """Return text as a path from the folder `base` of the context on."""
-    return (info.context or {}).get("base", Path()) / Path(value).expanduser() if _is_text(value) else value
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str) and bool(value) and value.isprintable()
-
-
-def _as_cameras(value: Any) -> Any:
-    """Return the cameras that a document describes."""
-    if not isinstance(value, list) or not 1 <= len(value) <= 10_000:
-        raise ValueError("a list of 1 to 10000 cameras is expected")
-    try:
-        return tuple(parse_camera_list(value, source="poses"))
-    except CameraError as error:
-        raise ValueError(error.message) from error
+    is_text = isinstance(value, str) and bool(value) and value.isprintable()
+    return (info.context or {}).get("base", Path()) / Path(value).expanduser() if is_text else value
 
 
 File = Annotated[Path | None, BeforeValidator(_as_path)]
+Identifier = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f]+$")]
+
+
+class Asset(RenderAsset):
+    """A bundle in one material and pose: a folder or zip, or the id of a bundle on a server."""
+
+    bundle: File = None
+    bundle_id: Identifier = ""
+
+    @model_validator(mode="after")
+    def _check_source(self) -> "Asset":
+        if (self.bundle is None) == (not self.bundle_id):
+            raise ValueError("one of bundle and bundle_id is needed")
+        return self
+
+    @property
+    def called(self) -> str:
+        """Return the name, by default that of the file."""
+        return self.name or safe_name(self.bundle.stem if self.bundle is not None else self.bundle_id)
+
+    @property
+    def edit(self) -> MaterialEdit:
+        """Return the changes of the material as the renderer applies them."""
+        return MaterialEdit(**self.material.model_dump())
+
+
+class Light(RenderEnvironment):
+    """An environment map as it is to be used: a file, or the id of an environment on a server."""
+
+    map: File = None
+    environment_id: Identifier = ""
+
+    @model_validator(mode="after")
+    def _check_source(self) -> "Light":
+        if (self.map is None) == (not self.environment_id):
+            raise ValueError("one of map and environment_id is needed")
+        return self
+
+    @property
+    def called(self) -> str:
+        """Return the name, by default that of the file."""
+        return self.name or safe_name(self.map.stem if self.map is not None else self.environment_id)
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Return how the map's file is read."""
+        return self.model_dump(include=set(EnvironmentInput.model_fields))
 
 
 class Cameras(RenderCameras):
-    """Some cameras; exactly one of `turntable`, `file`, `views`, `all_views` and `poses` says which."""
+    """Some cameras; exactly one of turntable, file, views, all_views and poses selects them."""
 
-    model_config = ConfigDict(frozen=True)
-
-    turntable: Annotated[int, Field(ge=1, le=10_000), WHOLE] = 0
     file: File = None
     """A cameras.json; with `views` only those."""
-    views: Annotated[tuple[Text, ...], Field(strict=False, min_length=1, max_length=10_000)] = ()  # type: ignore[assignment]
-    poses: Annotated[tuple[Any, ...], BeforeValidator(_as_cameras)] = ()  # type: ignore[assignment]
-
-    @field_validator("elevation_deg", "radius", "field_of_view_deg", "start_deg")
-    @classmethod
-    def _check_place(cls, value: float, info: ValidationInfo) -> float:
-        if info.data.get("turntable", 1) == 0:
-            raise ValueError("this places a turntable and has no meaning here")
-        return value
 
     @model_validator(mode="after")
-    def _check(self) -> "Cameras":
+    def _check_source(self) -> "Cameras":
         kinds = [name for name in ("turntable", "file", "all_views", "poses") if getattr(self, name)]
         if len(kinds) + bool(self.views) != 1 and not (kinds == ["file"] and self.views):
-            raise ValueError("one of turntable, file, views, all_views and poses is needed")
+            raise PydanticCustomError(
+                UNCLEAR, "exactly one of turntable, file, views, all_views and poses is needed"
+            )
         return self
 
 
-class Quality(RenderSettings):
-    """The settings of pictures under one name."""
+class Files(RenderOutput):
+    """The files written for every picture, and what is kept or drawn besides."""
 
-    name: str = "refined"
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Files:
-    """The files written for every picture, and where."""
-
-    suffixes: tuple[str, ...] = SUFFIXES
-    passes: tuple[str, ...] = PASSES
-    half: bool = True
-    """16-bit instead of 32-bit floats in EXR files; depth and the Cryptomatte always have 32."""
-    path: str = DEFAULT_PATH
-    """Path in the output folder without suffix."""
     linear: bool = False
     """Whether the linear picture is kept: another exposure, tone curve or background renders nothing."""
     probes: bool = False
     """Whether a chrome and a grey ball stand in the PNG's corner."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Manifest:
+class Manifest(RenderSpec):
     """A whole batch."""
 
-    name: str
-    assets: tuple[Asset, ...]
-    environments: tuple[Light, ...]
-    cameras: tuple[Cameras, ...]
-    qualities: tuple[Quality, ...]
-    files: Files
+    schema_: Annotated[Literal["lambent-batch/1"], Field(alias="schema")]
+    assets: Entries[Asset]
+    environments: Annotated[Sequence[Light], Field(min_length=1, max_length=10_000)]
+    cameras: Entries[Cameras]
+    settings: Annotated[RenderSettings, Field(default_factory=RenderSettings)]
+    """Settings that the qualities share, where they do not state their own."""
+    _origins: list[int] = PrivateAttr(default_factory=list)
+
+    def model_post_init(self, context: Any) -> None:
+        """Keep the places of the environments in the document, where each may stand for several."""
+        self._origins = (context or {}).get("origins", [])
+
+    def light_pointer(self, index: int) -> str:
+        """Return the place of an environment in the document."""
+        return f"/environments/{self._origins[index] if self._origins else index}"
+
+    @model_validator(mode="after")
+    def _share_settings(self) -> "Manifest":
+        shared = {name: getattr(self.settings, name) for name in self.settings.model_fields_set}
+        self.qualities = [
+            RenderQuality.model_construct(
+                **shared | {name: getattr(each, name) for name in each.model_fields_set}
+            )
+            for each in self.qualities
+        ]
+        return self
+
+    @property
+    def files(self) -> Files:
+        """Return the files written for every picture."""
+        return Files(**dict(self.output))

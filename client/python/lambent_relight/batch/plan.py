@@ -4,7 +4,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 
 from lambent_core.errors import CameraError, RelightError, SettingError
 from lambent_core.files import file_sha256
-from lambent_core.pictures import safe_name
+from lambent_core.pictures import RenderQuality, safe_name
 
 from lambent_relight.batch.manifest import (
     LINEAR,
@@ -23,10 +23,9 @@ from lambent_relight.batch.manifest import (
     Files,
     Light,
     Manifest,
-    Quality,
 )
 from lambent_relight.bundle.bundle import Bundle, load_bundle
-from lambent_relight.cameras import Camera, load_cameras
+from lambent_relight.cameras import Camera, load_cameras, parse_camera_list
 from lambent_relight.object_cameras import around_object
 
 _SHEETS = re.compile(r"contact_sheet(_\d+)?")
@@ -39,10 +38,12 @@ class Row:
     path: str
     asset: Asset
     light: Light
-    quality: Quality
+    quality: RenderQuality
     camera: Camera
     bundle_digest: str
     light_digest: str
+    pointer: str = ""
+    """Place of the asset in the manifest."""
 
     def key(self, suffix: str, files: Files) -> str:
         """Return the SHA-256 of everything that the bytes of one file depend on."""
@@ -52,10 +53,10 @@ class Row:
         parts: dict[str, Any] = {
             "renderer": renderer_digest(),
             "bundle": self.bundle_digest,
-            "edit": asdict(self.asset.edit),
+            "edit": self.asset.material.model_dump(),
             "object_rotate_deg": self.asset.object_rotate_deg,
             "environment": self.light_digest,
-            "given": asdict(self.light.given),
+            "given": self.light.given,
             "rotate_deg": self.light.rotate_deg,
             "camera": self.camera.key().hex(),
             "quality": quality,
@@ -69,16 +70,16 @@ class Row:
         elif suffix == "exr":
             parts |= {"passes": sorted(files.passes), "half": files.half}
             if "cryptomatte" in files.passes:
-                parts["object"] = self.asset.name
+                parts["object"] = self.asset.called
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def names(self) -> dict[str, Any]:
         """Return the fields of a record that say which picture it is."""
         return {
             "path": self.path,
-            "asset": self.asset.name,
-            "environment": self.light.name,
-            "quality": self.quality.name,
+            "asset": self.asset.called,
+            "environment": self.light.called,
+            "quality": self.quality.called,
             "camera": self.camera.name,
         }
 
@@ -122,23 +123,24 @@ def make_plan(
     failures: list[Failure] = []
     digests = light_digests(manifest.environments, known_lights)
     known: dict[Path | None, _Opened] = {}
-    for asset in manifest.assets:
-        if asset.path is None or asset.path not in known:
-            known[asset.path] = _open(asset, manifest.cameras, opening)
-        opened = known[asset.path]
-        failures += [_failure(f"{asset.name}/*", error, at or asset.pointer) for error, at in opened.errors]
+    for number, asset in enumerate(manifest.assets):
+        pointer = f"/assets/{number}"
+        if asset.bundle is None or asset.bundle not in known:
+            known[asset.bundle] = _open(asset, manifest.cameras, opening)
+        opened = known[asset.bundle]
+        failures += [_failure(f"{asset.called}/*", error, at or pointer) for error, at in opened.errors]
         for quality in manifest.qualities:
-            for light in manifest.environments:
-                found = digests[light.name]
+            for index, light in enumerate(manifest.environments):
+                found = digests[light.called]
                 for camera in opened.cameras:
-                    path = manifest.files.path.format(
-                        asset=asset.name,
-                        environment=light.name,
-                        quality=quality.name,
+                    path = manifest.output.path.format(
+                        asset=asset.called,
+                        environment=light.called,
+                        quality=quality.called,
                         camera=safe_name(camera.name),
                     )
                     if isinstance(found, Exception):
-                        failures.append(_failure(path, found, light.pointer))
+                        failures.append(_failure(path, found, manifest.light_pointer(index)))
                         continue
                     rows.append(
                         Row(
@@ -149,6 +151,7 @@ def make_plan(
                             camera=camera,
                             bundle_digest=opened.digest,
                             light_digest=found,
+                            pointer=pointer,
                         )
                     )
                 _check_count(len(rows) + len(failures))
@@ -168,7 +171,7 @@ class _Opened:
 def _open(asset: Asset, entries: Sequence[Cameras], opening: Callable[[Path | str], Bundle]) -> _Opened:
     """Open the bundle of an asset; several materials of one bundle share what is found."""
     try:
-        bundle = opening(_require_path(asset.path, asset.bundle_id))
+        bundle = opening(_require_path(asset.bundle, asset.bundle_id))
         digest = bundle_digest(bundle)
     except (RelightError, OSError) as error:
         return _Opened(errors=((error, ""),))
@@ -192,9 +195,9 @@ def light_digests(
     lights: Sequence[Light], known: Mapping[str, str] = MappingProxyType({})
 ) -> dict[str, str | Exception]:
     """Return the hash of every environment's map by its name; a map is read once, however it is turned."""
-    places = {(light.path, light.environment_id): light for light in lights}
+    places = {(light.map, light.environment_id): light for light in lights}
     found = {place: known.get(place[1]) or light_digest(light) for place, light in places.items()}
-    return {light.name: found[light.path, light.environment_id] for light in lights}
+    return {light.called: found[light.map, light.environment_id] for light in lights}
 
 
 def cameras_of(entry: Cameras, bundle: Bundle) -> list[Camera]:
@@ -215,7 +218,8 @@ def cameras_of(entry: Cameras, bundle: Bundle) -> list[Camera]:
 def stated_cameras(entry: Cameras) -> list[Camera] | None:
     """Return the cameras that an entry holds or names a file of; None where it asks for those of a bundle."""
     if entry.poses:
-        return _picked(list(entry.poses), entry, "poses")
+        poses = parse_camera_list([each.model_dump() for each in entry.poses], source="poses")
+        return _picked(poses, entry, "poses")
     if entry.file is not None:
         return _picked(load_cameras(entry.file), entry, entry.file.name)
     return None
@@ -275,7 +279,7 @@ def _require_path(path: Path | None, identifier: str) -> Path:
 def light_digest(light: Light) -> str | Exception:
     """Return the hash of the map's file, or why there is none."""
     try:
-        path = _require_path(light.path, light.environment_id)
+        path = _require_path(light.map, light.environment_id)
         if not path.is_file():
             return SettingError("environment.missing", f'there is no file "{path}"', "check the path")
         return file_sha256(path)

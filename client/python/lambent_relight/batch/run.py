@@ -40,13 +40,13 @@ def sort_plan(
     done: list[Result] = []
     tasks: list[Task] = []
     for row in plan.rows:
-        kept = (*files.suffixes, LINEAR) if files.linear else files.suffixes
+        kept = (*files.files, LINEAR) if files.linear else files.files
         known = {suffix: journal.known(suffix, row.path, row.key(suffix, files)) for suffix in kept}
         found = {suffix: made for suffix, made in known.items() if made is not None}
         in_place = {suffix: made for suffix, made in found.items() if made.path == place(row.path, suffix)}
-        if not found.keys() >= set(files.suffixes):
+        if not found.keys() >= set(files.files):
             # A file under another name may be overwritten before this picture's turn comes.
-            wanted = [suffix for suffix in files.suffixes if suffix not in in_place]
+            wanted = [suffix for suffix in files.files if suffix not in in_place]
             if files.linear and not (
                 LINEAR in in_place and ("exr" not in wanted or _has_layers(row, files, journal))
             ):
@@ -89,13 +89,13 @@ def run_batch(
     try:
         for row, made in pictures:
             if isinstance(made, Failure):
-                failure = replace(made, pointer=row.asset.pointer)
+                failure = replace(made, pointer=row.pointer)
                 yield Result(path=row.path, state="failed", failure=failure)
                 continue
             before = journal.records.get(row.path)
             kept = before.files if before is not None else {}
             both = {**kept, **made.files}
-            wanted = (*files.suffixes, LINEAR) if files.linear else files.suffixes
+            wanted = (*files.files, LINEAR) if files.linear else files.files
             record = replace(made, files={suffix: both[suffix] for suffix in wanted})
             journal.add(record)
             yield Result(path=row.path, state="made", record=record)

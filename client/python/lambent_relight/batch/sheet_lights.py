@@ -1,7 +1,6 @@
 """A chrome and a grey ball for every environment of a batch, for its contact sheet."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 from lambent_core.colour import srgb_from_linear
@@ -9,7 +8,7 @@ from lambent_core.errors import RelightError
 from PIL import Image
 
 from lambent_relight.batch.manifest import Light, Manifest
-from lambent_relight.environment.input import EnvironmentInput, open_environment
+from lambent_relight.environment.input import open_environment
 from lambent_relight.environment.probes import GREY
 from lambent_relight.probe_overlay import LightProbes
 
@@ -25,18 +24,18 @@ def light_pictures(manifest: Manifest) -> Mapping[str, Image.Image]:
     Each is exposed so that the grey ball's mean is middle grey: maps differ by any factor.
     """
     found: dict[str, Image.Image] = {}
-    known: tuple[tuple[Path, EnvironmentInput], LightProbes] | None = None
-    for light in sorted(manifest.environments[:MAX_LIGHTS], key=lambda each: str(each.path)):
-        if light.path is None or not light.path.is_file():
+    known: tuple[object, LightProbes] | None = None
+    for light in sorted(manifest.environments[:MAX_LIGHTS], key=lambda each: str(each.map)):
+        if light.map is None or not light.map.is_file():
             continue
-        key = (light.path, light.given)
+        key = (light.map, light.given)
         if known is None or known[0] != key:
             try:
-                known = (key, LightProbes(open_environment(*key).environment))
+                known = (key, LightProbes(open_environment(light.map, light).environment))
             except (RelightError, OSError):
                 # The pictures of this map are listed as failed, with the reason.
                 continue
-        found[light.name] = _picture(known[1], light)
+        found[light.called] = _picture(known[1], light)
     return found
 
 

@@ -11,7 +11,6 @@ from lambent_core.errors import BundleError, EnvironmentFileError
 from lambent_core.files import file_sha256, whole_file
 from numpy.typing import NDArray
 
-from lambent_relight.aovs import OBJECT_NAME
 from lambent_relight.batch.journal import MadeFile, Record
 from lambent_relight.batch.manifest import LINEAR, Files, place
 from lambent_relight.batch.plan import Row, bundle_digest, light_digest
@@ -83,7 +82,7 @@ class Studio:
 
     def notes(self, row: Row) -> tuple[str, ...]:
         """Return notes for the user about the map of a picture."""
-        return tuple(self._open_light(row).notes(row.light.name))
+        return tuple(self._open_light(row).notes(row.light.called))
 
     def _render(
         self, row: Row, progress: Callable[[float], None] | None
@@ -138,7 +137,7 @@ class Studio:
             return picture, tuple(str(note) for note in kept["notes"])
 
     def _open_bundle(self, row: Row) -> Renderer:
-        path = row.asset.path
+        path = row.asset.bundle
         assert path is not None
         key = (path, row.bundle_digest)
         if self._renderer is None or self._renderer[0] != key:
@@ -155,17 +154,17 @@ class Studio:
     def _open_light(self, row: Row) -> OpenedEnvironment:
         """Return the map; turning a known one keeps what renderers have prepared of it."""
         light = row.light
-        assert light.path is not None
-        key = (light.path, light.given, row.light_digest)
+        assert light.map is not None
+        key = (light.map, light.given, row.light_digest)
         if self._light is None or self._light[0] != key:
             self._light = None
             if light_digest(light) != row.light_digest:
                 raise EnvironmentFileError(
                     "environment.changed",
-                    f"{light.path} is not the file it was when this batch began",
+                    f"{light.map} is not the file it was when this batch began",
                     "run the batch again",
                 )
-            self._light = (key, open_environment(light.path, light.given))
+            self._light = (key, open_environment(light.map, light))
         return self._light[1]
 
     def _write(
@@ -186,7 +185,7 @@ class Studio:
                     passes=() if kept else self._files.passes,
                     attributes={"lambent:bundle": row.bundle_digest, "lambent:environment": row.light_digest},
                     layers=read_picture_exr(path) if kept else None,
-                    object_name=row.asset.name or OBJECT_NAME,
+                    object_name=row.asset.called,
                 )
             digest = file_sha256(partial)
             size_bytes = partial.stat().st_size

@@ -3,24 +3,14 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from lambent_relight.environment.axes import OURS, from_axes
-from lambent_relight.environment.layouts import AUTO, LATLONG, LAYOUTS
+from lambent_core.pictures import EnvironmentInput
+
+from lambent_relight.environment.axes import from_axes
+from lambent_relight.environment.layouts import LATLONG, LAYOUTS
 from lambent_relight.environment.maps import Environment, load_environment
 from lambent_relight.environment.sun_clamp import ClampReport, clamp_sun
 
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class EnvironmentInput:
-    """Settings for reading an environment map."""
-
-    axes: str = OURS
-    """The map's convention, a name of `environment_axes.QUARTER_TURNS`."""
-    layout: str = AUTO
-    """The file's layout, a name of `layouts.LAYOUTS`; "auto": as it states, else by its size."""
-    mend: bool = False
-    """Whether NaN, negative and infinite values are replaced; otherwise they are an error."""
-    sun_clamp: float = 0.0
-    """Largest radiance of a channel; 0 keeps everything."""
+__all__ = ["EnvironmentInput", "OpenedEnvironment", "open_environment"]
 
 
 @dataclass(frozen=True)

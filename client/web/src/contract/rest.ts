@@ -786,6 +786,7 @@ export interface components {
             qualities?: components["schemas"]["RenderQuality"][];
             /**
              * Shards
+             * @description Number of jobs that render it; 0: as many as run at the same time.
              * @default 0
              */
             shards: number;
@@ -1147,23 +1148,27 @@ export interface components {
         };
         /**
          * RenderAsset
-         * @description A bundle in one material and pose; mirrors lambent_proto.v1.RenderAsset.
+         * @description A bundle in one material and pose.
          */
         RenderAsset: {
             /** Bundle Id */
             bundle_id: string;
             material?: components["schemas"]["RenderMaterial"];
-            /** Name */
+            /**
+             * Name
+             * @description Default: the bundle's id.
+             */
             name?: string | null;
             /**
              * Object Rotate Deg
+             * @description Rotates the object, not its light, about +z.
              * @default 0
              */
             object_rotate_deg: number;
         };
         /**
          * RenderCamera
-         * @description A pinhole camera; mirrors lambent_proto.v1.RenderCamera.
+         * @description A pinhole camera, as in cameras.json of a bundle.
          */
         RenderCamera: {
             /** Camera To World */
@@ -1185,7 +1190,7 @@ export interface components {
         };
         /**
          * RenderCameras
-         * @description Some cameras: one of turntable, views, all_views and poses; mirrors lambent_proto.v1.RenderCameras.
+         * @description Some cameras; exactly one of turntable, views, all_views and poses selects them.
          */
         RenderCameras: {
             /**
@@ -1209,6 +1214,7 @@ export interface components {
             radius?: number | null;
             /**
              * Size
+             * @description Longer side in pixels; 0 keeps the size.
              * @default 0
              */
             size: number;
@@ -1219,19 +1225,24 @@ export interface components {
             start_deg: number;
             /**
              * Turntable
+             * @description This many cameras evenly around the object.
              * @default 0
              */
             turntable: number;
-            /** Views */
+            /**
+             * Views
+             * @description Names of cameras of the bundle.
+             */
             views?: string[];
         };
         /**
          * RenderEnvironment
-         * @description An environment and how it is to be used; mirrors lambent_proto.v1.RenderEnvironment.
+         * @description An environment and how it is to be used.
          */
         RenderEnvironment: {
             /**
              * Axes
+             * @description Convention of the map; "blender" is ours.
              * @default blender
              * @enum {string}
              */
@@ -1240,56 +1251,74 @@ export interface components {
             environment_id: string;
             /**
              * Layout
+             * @description How the file shows the sphere; "auto": as it states, else by its size.
              * @default auto
              * @enum {string}
              */
             layout: "auto" | "latlong" | "angular" | "mirror-ball" | "cross-horizontal" | "cross-vertical" | "strip-horizontal" | "strip-vertical" | "cube";
             /**
              * Mend
+             * @description Whether NaN, negative and infinite values are replaced; otherwise they are an error.
              * @default false
              */
             mend: boolean;
-            /** Name */
+            /**
+             * Name
+             * @description Default: the environment's own.
+             */
             name?: string | null;
             /**
              * Rotate Deg
+             * @description Rotates the light about +z.
              * @default 0
              */
             rotate_deg: number;
             /**
              * Sun Clamp
+             * @description Largest radiance of a channel; 0 keeps everything.
              * @default 0
              */
             sun_clamp: number;
         };
         /**
          * RenderMaterial
-         * @description Changes to the bundle's material; mirrors lambent_proto.v1.RenderMaterial.
+         * @description Changes to the bundle's material.
          */
         RenderMaterial: {
-            /** Albedo */
+            /**
+             * Albedo
+             * @description Linear albedo instead of the object's own.
+             */
             albedo?: number[] | null;
-            /** Albedo Gain */
+            /**
+             * Albedo Gain
+             * @description Factors on the albedo, red, green, blue.
+             */
             albedo_gain?: number[];
             /**
              * Roughness Scale
+             * @description Factor on perceptual roughness.
              * @default 1
              */
             roughness_scale: number;
         };
         /**
          * RenderOutput
-         * @description The files written for every picture; mirrors lambent_proto.v1.RenderOutput.
+         * @description The files written for every picture.
          */
         RenderOutput: {
             /** Files */
             files?: ("png" | "exr")[];
             /**
              * Half
+             * @description 16-bit instead of 32-bit floats in EXR files; depth and the Cryptomatte always have 32.
              * @default true
              */
             half: boolean;
-            /** Passes */
+            /**
+             * Passes
+             * @description Layers of the EXR besides the picture; "cryptomatte" is the object's mask.
+             */
             passes?: ("direct" | "indirect" | "diffuse" | "specular" | "standard_error" | "visibility" | "albedo" | "normal" | "perceptual_roughness" | "metalness" | "depth" | "cryptomatte")[];
             /**
              * Path
@@ -1300,7 +1329,7 @@ export interface components {
         };
         /**
          * RenderQuality
-         * @description How pictures are made; mirrors lambent_proto.v1.RenderQuality.
+         * @description How pictures are made, under one name.
          */
         RenderQuality: {
             /**

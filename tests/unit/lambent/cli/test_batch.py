@@ -239,9 +239,9 @@ def test_a_bundle_and_a_map_are_read_once_for_a_plan_however_often_they_are_used
 
 
 def test_problems_of_a_manifest_come_with_their_lines_and_exit_code_two(folder, capsys):
-    assert batch(folder, HEAD + "cameras:\n  - turntable: 0\n    size: big\ncolour: 1\n") == 2
+    assert batch(folder, HEAD + "cameras:\n  - turntable: -1\n    size: big\ncolour: 1\n") == 2
     err = capsys.readouterr().err
-    assert "m.yaml:5: turntable: 0 is not from 1 to 10000" in err
+    assert "m.yaml:5: turntable: -1 is not from 0 to 10000" in err
     assert "m.yaml:6: size" in err
     assert "m.yaml:7: there is no 'colour'" in err
     assert not (folder / "out").exists()

@@ -3,7 +3,7 @@
 import pytest
 import typer
 from lambent.cli import relight, turntable
-from lambent.cli.setting_options import takes_settings
+from lambent.cli.setting_options import takes
 from lambent.errors import UsageProblemError
 from lambent_core.pictures import RenderSettings
 
@@ -29,14 +29,17 @@ def test_every_setting_is_an_option_with_its_default_and_help(function, own):
 def test_what_is_chosen_arrives_and_what_cannot_be_meant_is_refused():
     arrived = []
 
-    @takes_settings(seed=4)
+    @takes("settings", RenderSettings, seed=4)
     def command(name: str, *, settings: RenderSettings) -> None:
         arrived.append((name, settings))
 
     defaults = {**RenderSettings().model_dump(), "seed": 4}
     command(name="x", **{**defaults, "antialias": 3})
     assert arrived == [("x", RenderSettings(seed=4, antialias=3))]
-    with pytest.raises(UsageProblemError, match=r"--tone-mapping 'filmic'; use one of linear, neutral"):
+    with pytest.raises(
+        UsageProblemError,
+        match=r"--tone-mapping: one of linear, .* is expected, not 'filmic'",
+    ):
         command(name="x", **{**defaults, "tone_mapping": "filmic"})
-    with pytest.raises(UsageProblemError, match=r"relight\.until_stderr: .*2\.0 is not from 0 to 0\.999"):
-        command(name="x", **{**defaults, "until_stderr": 2.0})
+    with pytest.raises(UsageProblemError, match=r"--spp: 1 is .*; --until-stderr: 2\.0 is not from 0"):
+        command(name="x", **{**defaults, "until_stderr": 2.0, "spp": 1})

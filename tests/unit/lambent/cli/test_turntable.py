@@ -111,7 +111,7 @@ def test_seconds_times_pictures_per_second_are_the_number_of_pictures(bundle, sk
 def test_an_object_that_turns_shows_what_relighting_shows_of_a_turned_object(bundle, sky):
     renderer = Renderer(load_bundle(bundle))
     light = load_environment(sky)
-    shots = shots_of_turn(renderer.bundle, Light(name="sky"), "object", 8, size=24, rotate_deg=15.0)
+    shots = shots_of_turn(renderer.bundle, Light(environment_id="sky"), "object", 8, size=24, rotate_deg=15.0)
     settings = {"spp": 64, "background": "environment"}
     first = shots[0].camera
     for index in (0, 1, 5):
@@ -128,7 +128,7 @@ def test_an_object_that_turns_shows_what_relighting_shows_of_a_turned_object(bun
 
 
 def test_each_turn_moves_what_it_is_called_after(bundle):
-    opened, light = load_bundle(bundle), Light(name="sky")
+    opened, light = load_bundle(bundle), Light(environment_id="sky")
     shots = {turn: shots_of_turn(opened, light, turn, 4, size=8) for turn in ("camera", "light", "object")}
 
     def azimuths(turn):

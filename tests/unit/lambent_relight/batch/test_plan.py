@@ -4,20 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lambent_core.pictures import RenderMaterial, RenderQuality
 from lambent_relight.aovs import PASSES
 from lambent_relight.batch import plan as planning
 from lambent_relight.batch.journal import MadeFile, Record, open_journal
-from lambent_relight.batch.manifest import Asset, Files, Light, Quality
+from lambent_relight.batch.manifest import Asset, Files, Light
 from lambent_relight.batch.plan import Row, renderer_digest
 from lambent_relight.cameras import turntable
-from lambent_relight.edits import MaterialEdit
-from lambent_relight.environment.input import EnvironmentInput
 
 ROW = Row(
     path="a/b",
-    asset=Asset(name="a"),
-    light=Light(name="b"),
-    quality=Quality(),
+    asset=Asset(name="a", bundle_id="x"),
+    light=Light(name="b", environment_id="x"),
+    quality=RenderQuality(),
     camera=turntable(1, radius=2.0)[0],
     bundle_digest="0" * 64,
     light_digest="1" * 64,
@@ -30,7 +29,7 @@ def changed(**parts):
     for name, values in parts.items():
         part = getattr(found, name)
         if isinstance(values, dict):
-            values = part.model_copy(update=values) if name == "quality" else replace(part, **values)
+            values = replace(part, **values) if name == "camera" else part.model_copy(update=values)
         found = replace(found, **{name: values})
     return found
 
@@ -42,13 +41,13 @@ def changed(**parts):
         changed(bundle_digest="2" * 64),
         changed(light_digest="2" * 64),
         changed(light={"rotate_deg": 1.0}),
-        changed(light={"given": EnvironmentInput(mend=True)}),
-        changed(light={"given": EnvironmentInput(sun_clamp=2.0)}),
-        changed(light={"given": EnvironmentInput(axes="skylibs")}),
+        changed(light={"mend": True}),
+        changed(light={"sun_clamp": 2.0}),
+        changed(light={"axes": "skylibs"}),
         changed(asset={"object_rotate_deg": 1.0}),
-        changed(asset={"edit": MaterialEdit(albedo_gain=(1.0, 1.0, 0.9))}),
-        changed(asset={"edit": MaterialEdit(albedo=(0.5, 0.5, 0.5))}),
-        changed(asset={"edit": MaterialEdit(roughness_scale=0.9)}),
+        changed(asset={"material": RenderMaterial(albedo_gain=[1.0, 1.0, 0.9])}),
+        changed(asset={"material": RenderMaterial(albedo=[0.5, 0.5, 0.5])}),
+        changed(asset={"material": RenderMaterial(roughness_scale=0.9)}),
         changed(camera={"width": 511}),
         changed(camera={"camera_to_world": np.eye(4)}),
         changed(quality={"quality": "baked"}),
@@ -70,7 +69,7 @@ def test_names_are_not_in_the_key():
         asset={"name": "x"}, light={"name": "y"}, quality={"name": "z"}, camera={"name": "c"}, path="d"
     )
     assert other.key("png", Files()) == ROW.key("png", Files())
-    bare = Files(passes=("normal",))
+    bare = Files(passes=["normal"])
     assert other.key("exr", bare) == ROW.key("exr", bare)
 
 
@@ -83,10 +82,10 @@ def test_each_file_has_a_key_of_its_own():
         assert shown.key("exr", Files()) == ROW.key("exr", Files())
         assert shown.key("png", Files()) != ROW.key("png", Files())
     assert ROW.key("png", Files()) != ROW.key("exr", Files())
-    for files in (Files(half=False), Files(passes=PASSES[:2])):
+    for files in (Files(half=False), Files(passes=list(PASSES[:2]))):
         assert ROW.key("exr", files) != ROW.key("exr", Files())
         assert ROW.key("png", files) == ROW.key("png", Files())
-    assert ROW.key("exr", Files(passes=PASSES[::-1])) == ROW.key("exr", Files())
+    assert ROW.key("exr", Files(passes=list(PASSES[::-1]))) == ROW.key("exr", Files())
 
 
 def test_another_renderer_makes_other_pictures(monkeypatch):

@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 from lambent.errors import UsageProblemError
 from lambent.manifest_file import load_document
+from lambent_core.pictures import RenderQuality, safe_name
 from lambent_relight.aovs import PASSES
-from lambent_relight.batch.manifest import Cameras, Quality
-from lambent_relight.batch.reading import ManifestError, read_manifest, safe_name
+from lambent_relight.batch.manifest import Cameras
+from lambent_relight.batch.reading import ManifestError, read_manifest
 
 BASE = Path("/somewhere")
 SMALL = {
@@ -28,12 +29,12 @@ def problems(**changes):
 
 def test_short_forms_take_their_names_from_the_files():
     found = read_manifest(SMALL, BASE)
-    assert [(asset.name, asset.path) for asset in found.assets] == [("cow", BASE / "cow.relight")]
-    assert [(light.name, light.path) for light in found.environments] == [("sky", BASE / "sky.exr")]
-    assert found.cameras == (Cameras(turntable=2),)
-    assert found.qualities == (Quality(),)
-    assert found.files.suffixes == ("png", "exr")
-    assert found.files.passes == PASSES
+    assert [(asset.called, asset.bundle) for asset in found.assets] == [("cow", BASE / "cow.relight")]
+    assert [(light.called, light.map) for light in found.environments] == [("sky", BASE / "sky.exr")]
+    assert found.cameras == [Cameras(turntable=2)]
+    assert found.qualities == [RenderQuality()]
+    assert found.files.files == ["png", "exr"]
+    assert tuple(found.files.passes) == PASSES
 
 
 def test_every_field_arrives():
@@ -88,30 +89,41 @@ def test_every_field_arrives():
     )
     (asset,), (light,) = found.assets, found.environments
     assert asset.bundle_id == "bundle_1"
-    assert asset.path is None
+    assert asset.bundle is None
     assert (asset.edit.albedo_gain, asset.edit.albedo) == ((1.0, 2.0, 3.0), (0.5, 0.0, 0.0))
     assert (asset.edit.roughness_scale, asset.object_rotate_deg) == (0.5, 30.0)
-    assert (light.given.axes, light.given.sun_clamp, light.given.mend) == ("mitsuba", 50.0, True)
+    assert (light.axes, light.sun_clamp, light.mend) == ("mitsuba", 50.0, True)
     assert light.rotate_deg == 90.0
     low, file, every = found.cameras
     assert (low.name, low.turntable, low.size, low.radius) == ("low", 3, 64, 2.0)
     assert (low.elevation_deg, low.field_of_view_deg, low.start_deg) == (5.0, 50.0, 10.0)
-    assert (file.file, file.views) == (BASE / "c.json", ("front",))
+    assert (file.file, file.views) == (BASE / "c.json", ["front"])
     assert every.all_views
-    assert found.qualities == (
-        Quality(name="preview", quality="preview", seed=7, antialias=1, background="white"),
-        Quality(
+    assert found.qualities == [
+        RenderQuality(quality="preview", seed=7, antialias=1, background="white"),
+        RenderQuality(
             name="final", spp=8, until_stderr=0.01, indirect=False, seed=7, antialias=1, background="white"
         ),
-    )
-    assert (found.files.suffixes, found.files.passes, found.files.half) == (("exr",), ("normal",), False)
+    ]
+    assert (found.files.files, found.files.passes, found.files.half) == (["exr"], ["normal"], False)
 
 
 def test_a_list_of_angles_is_as_many_environments():
     found = read_manifest({**SMALL, "environments": [{"map": "sky.exr", "rotate_deg": [0, 90.5]}]}, BASE)
-    assert [(light.name, light.rotate_deg) for light in found.environments] == [
+    assert [(light.called, light.rotate_deg) for light in found.environments] == [
         ("sky_0", 0.0),
         ("sky_90.5", 90.5),
+    ]
+
+
+def test_places_of_environments_are_those_of_the_document_however_many_each_stands_for():
+    lights = [{"map": "sky.exr", "rotate_deg": [0, 90]}, {"map": "b.exr", "axes": "unreal"}]
+    assert list(problems(environments=lights)) == ["/environments/1/axes"]
+    found = read_manifest({**SMALL, "environments": [lights[0], "b.exr"]}, BASE)
+    assert [found.light_pointer(index) for index in range(3)] == [
+        "/environments/0",
+        "/environments/0",
+        "/environments/1",
     ]
 
 
@@ -137,18 +149,18 @@ def test_a_list_of_angles_is_as_many_environments():
             "/assets/0/material/albedo",
             "0 to 1",
         ),
-        ({"assets": ["a", "b/a"]}, "/assets/1", 'a second asset is called "a"'),
-        ({"assets": ["a", "A"]}, "/assets/1", "second asset"),
+        ({"assets": ["a", "b/a"]}, "/assets/1/name", 'a second asset is called "a"'),
+        ({"assets": ["a", "A"]}, "/assets/1/name", "second asset"),
         ({"assets": [{"bundle": "a", "name": "../a"}]}, "/assets/0/name", "letters"),
         ({"environments": [{"map": "x.exr", "axes": "unreal"}]}, "/environments/0/axes", "skylibs"),
         ({"environments": [5]}, "/environments/0", "a mapping is expected, not 5"),
         ({"cameras": [{}]}, "/cameras/0", "one of turntable"),
         ({"cameras": [{"turntable": 2, "all_views": True}]}, "/cameras/0", "one of turntable"),
         ({"cameras": [{"all_views": False}]}, "/cameras/0", "one of turntable"),
-        ({"cameras": [{"turntable": 0}]}, "/cameras/0/turntable", "from 1"),
+        ({"cameras": [{"turntable": 0}]}, "/cameras/0", "one of turntable"),
         ({"cameras": [{"all_views": True, "radius": 2}]}, "/cameras/0/radius", "turntable"),
-        ({"cameras": [{"poses": [{"name": "x"}]}]}, "/cameras/0/poses", "width"),
-        ({"qualities": ["preview", "preview"]}, "/qualities", "second quality"),
+        ({"cameras": [{"poses": [{"name": "x"}]}]}, "/cameras/0/poses/0", "is missing"),
+        ({"qualities": ["preview", "preview"]}, "/qualities/1/name", "second quality"),
         ({"output": {"files": ["jpg"]}}, "/output/files", "png, exr"),
         ({"output": {"passes": ["shadow"]}}, "/output/passes", "albedo"),
         ({"output": {"path": "{asset}/{nobody}"}}, "/output/path", "{camera}"),
@@ -199,7 +211,7 @@ def test_anchors_and_merge_keys_are_followed(tmp_path):
     ("text", "word"),
     [
         ("a: [1\nb: 2", "m.yaml:2"),
-        ("a: 1\na: 2", "'a' is there twice"),
+        ("a: 1\na: 2", 'duplicate key "a"'),
         ("a: !!python/object/apply:os.system ['true']", "m.yaml:1"),
         ("? [1, 2]\n: 3", "a name is expected"),
         ("a: 1\n---\nb: 2", "m.yaml:2"),

@@ -1,7 +1,6 @@
 """What is rendered anew and what is made from the linear picture that was kept; the files are the same."""
 
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,7 +37,7 @@ def rendered(monkeypatch):
 def made(folder, out="out", **changes):
     """Make a batch and return its files' bytes."""
     manifest = read_manifest({**ONE_PICTURE, **changes}, folder)
-    files = replace(manifest.files, linear=True)
+    files = manifest.files.model_copy(update={"linear": True})
     with open_journal(folder / out) as journal:
         results = list(run_batch(make_plan(manifest), files, journal, strict=True))
         assert all(result.record.bounces == "one" for result in results)
@@ -71,7 +70,7 @@ def test_balls_in_the_corner_are_drawn_over_the_kept_picture(folder, rendered):
     manifest = read_manifest({**ONE_PICTURE, "cameras": [{"turntable": 1, "size": 32}]}, folder)
     found = []
     for probes in (False, True):
-        files = replace(manifest.files, linear=True, probes=probes)
+        files = manifest.files.model_copy(update={"linear": True, "probes": probes})
         with open_journal(folder / "out") as journal:
             (result,) = run_batch(make_plan(manifest), files, journal, strict=True)
         found.append((folder / "out" / result.record.files["png"].path).read_bytes())

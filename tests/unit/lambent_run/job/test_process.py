@@ -134,7 +134,7 @@ def test_a_capture_that_is_damaged_in_the_store_is_no_crash(
     assert (failure.code, failure.cause) == ("scene.file_damaged", worker_pb2.FAIL_CAUSE_BAD_SCENE)
     assert failure.message.startswith("a/b.png: ")
     assert "push the same capture again" in failure.message
-    start.spec.kind = "bake"
+    start.kind = "bake"
     with pytest.raises(InputDamagedError, match=r"input\.file_damaged"):
         fetch_scene(connection, start, tmp_path / "scene")
 
@@ -253,11 +253,9 @@ def test_a_training_is_divided_among_the_gpus_of_the_job(
     monkeypatch.setattr(pipeline, "run_pipeline", lambda *_, **named: asked.append(named["num_ranks"]))
     monkeypatch.setenv("LAMBENT_RANKS", variable)
     order = Order(
-        spec=job_pb2.JobSpec(preset="tiny", gpus=gpus),
+        start=worker_pb2.StartResponse(preset="tiny", gpus=gpus, device=device),
         scene_dir=tmp_path,
         run_dir=tmp_path,
-        device=device,
-        adjustments=worker_pb2.Adjustments(),
         reporter=RecordingReporter(),
     )
     process.train(order)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from google.protobuf.json_format import ParseDict
 from lambent_core.errors import IncompleteError, Stopped, UsageError
-from lambent_proto.v1 import job_pb2, render_pb2, worker_pb2
+from lambent_core.pictures import RenderQuality, RenderSpec
+from lambent_proto.v1 import render_pb2, worker_pb2
 from lambent_relight import cameras_json, turntable, write_environment
-from lambent_relight.batch.manifest import DEFAULT_PATH, Cameras, Files, Quality
+from lambent_relight.batch.manifest import Cameras, Files
 from lambent_relight.batch.plan import make_plan
 from lambent_run.job import render as render_job
 from lambent_run.job.order import Order
@@ -55,20 +55,21 @@ def spec(**changes):
         "qualities": [QUALITY],
         "output": {"files": ["png", "exr"], "passes": ["normal"], "half": True},
     }
-    return ParseDict({**document, **changes}, render_pb2.RenderSpec())
+    return RenderSpec.model_validate({**document, **changes}).model_dump_json()
 
 
 def order_of(inputs, run_dir, reporter, order=None, shard=0, num_shards=1):
     """Return what a run is given."""
     run_dir.mkdir(parents=True, exist_ok=True)
     return Order(
-        spec=job_pb2.JobSpec(kind="batch"),
+        start=worker_pb2.StartResponse(
+            kind="batch",
+            device="cpu",
+            render=render_pb2.RenderTask(spec=order or spec(), shard=shard, num_shards=num_shards),
+        ),
         scene_dir=inputs,
         run_dir=run_dir,
-        device="cpu",
-        adjustments=worker_pb2.Adjustments(),
         reporter=reporter,
-        render=render_pb2.RenderTask(spec=order or spec(), shard=shard, num_shards=num_shards),
     )
 
 
@@ -88,23 +89,22 @@ def test_an_order_becomes_the_manifest_that_it_means(inputs):
         spec(
             cameras=cameras,
             assets=[{**ASSET, "material": material}],
-            output={"files": ["exr"], "path": "{camera}"},
+            output={"files": ["exr"], "passes": ["normal"], "half": False, "path": "{camera}"},
         ),
         inputs,
     )
     low, named, every, given = found.cameras
     assert low == Cameras(name="low", turntable=2, elevation_deg=0.0, size=8)
-    assert named == Cameras(views=("turntable_001",))
+    assert named == Cameras(views=["turntable_001"])
     assert every == Cameras(all_views=True)
     assert given.poses[0].width == 4
     (asset,) = found.assets
-    assert asset.path == inputs / "bundles" / "bundle_1"
+    assert asset.bundle == inputs / "bundles" / "bundle_1"
     assert asset.edit.albedo == (0.0, 0.0, 0.0), "black is a colour, not none"
     assert asset.edit.roughness_scale == 0.0
-    assert found.environments[0].path == inputs / "environments" / "env_1.exr"
-    assert found.qualities == (Quality(name="quick", spp=2, antialias=1),)
-    assert found.files == Files(suffixes=("exr",), passes=(), half=False, path="{camera}")
-    assert render_job.manifest_of(spec(), inputs).files.path == DEFAULT_PATH
+    assert found.environments[0].map == inputs / "environments" / "env_1.exr"
+    assert found.qualities == [RenderQuality(name="quick", spp=2, antialias=1)]
+    assert found.files == Files(files=["exr"], passes=["normal"], half=False, path="{camera}")
 
 
 def test_pictures_table_sheet_and_records_are_artifacts(inputs, tmp_path):
@@ -155,7 +155,7 @@ def test_what_sums_up_the_parts_makes_the_table_and_sheet_of_one_run(inputs, tmp
         (tmp_path / "last" / "environments" / path.name).write_bytes(path.read_bytes())
     whole = RecordingReporter()
     last = order_of(tmp_path / "last", tmp_path / "run", whole, order, 2, 2)
-    last.render.failures.extend(failures)
+    last.start.render.failures.extend(failures)
     with pytest.raises(IncompleteError, match=r"render\.parts_failed: 1 of 2 parts"):
         render_job.render_pictures(last)
     one, several = artifacts(alone), artifacts(whole)
@@ -200,7 +200,7 @@ def test_what_sums_up_parts_that_have_all_failed_fails_as_they_did(inputs, tmp_p
     reporter = RecordingReporter()
     last = order_of(inputs, tmp_path / "run", reporter, spec(), 2, 2)
     for shard in range(2):
-        last.render.failures.add(path=f"job_{shard}/*", code="environment.x", message="broken")
+        last.start.render.failures.add(path=f"job_{shard}/*", code="environment.x", message="broken")
     with pytest.raises(UsageError, match=r"render\.all_failed: .*environment\.x: broken"):
         render_job.render_pictures(last)
     assert not artifacts(reporter), "a table and a sheet of nothing are not made"
@@ -216,7 +216,7 @@ def test_inputs_in_a_relative_folder_are_found(inputs, tmp_path, monkeypatch):
 
 
 def test_an_order_that_no_manifest_may_hold_fails(inputs, tmp_path):
-    order = spec(qualities=[{**QUALITY, "spp": 1}])
+    order = spec().replace('"spp":2', '"spp":1')
     with pytest.raises(UsageError, match=r"render\.spec_invalid"):
         render_job.render_pictures(order_of(inputs, tmp_path / "run", RecordingReporter(), order))
 

@@ -1,4 +1,4 @@
-"""What REST shows of a message equals the message, both ways."""
+"""What REST shows of a message equals the message."""
 
 import json
 from typing import Any
@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lambent_proto.v1 import bundle_pb2, capture_pb2, evaluation_pb2, job_pb2, scene_pb2
 from lambent_server.api import messages
-from lambent_server.api.rest_json import enum_number, enum_text, from_rest, to_rest
+from lambent_server.api.rest_json import enum_text, to_rest
 from lambent_server.app import describe
 
 MIRRORED = [
@@ -24,7 +24,6 @@ MIRRORED = [
 ]
 ALL = [
     *(message for message, _ in MIRRORED),
-    job_pb2.JobSpec,
     job_pb2.CheckpointManifest,
     scene_pb2.SceneManifest,
     bundle_pb2.BundleManifest,
@@ -69,17 +68,6 @@ def any_message(draw: Any, kind: type[Message]) -> Message:
 
 
 @pytest.mark.parametrize("kind", ALL)
-def test_a_message_comes_back_from_its_rest_object(kind: type[Message]):
-    @settings(max_examples=25, deadline=None)
-    @given(any_message(kind))
-    def check(message: Message) -> None:
-        shown = json.loads(json.dumps(to_rest(message)))
-        assert from_rest(kind, shown) == message
-
-    check()
-
-
-@pytest.mark.parametrize("kind", ALL)
 def test_the_rest_object_is_protojson_but_for_enumerations_and_unset_messages(kind: type[Message]):
     def compare(shown: Any, proto: Any) -> None:
         if isinstance(shown, dict):
@@ -119,16 +107,9 @@ def test_a_rest_model_takes_its_message_and_gives_it_back(kind: type[Message], m
     assert list(model.model_fields) == [field.name for field in kind.DESCRIPTOR.fields]
 
 
-def test_an_order_for_a_job_has_the_fields_of_its_message():
-    assert set(messages.JobOrder.model_fields) == {field.name for field in job_pb2.JobSpec.DESCRIPTOR.fields}
-
-
 def test_enumerations_are_words():
     assert enum_text(job_pb2.JobState, job_pb2.JOB_STATE_RETRY_WAIT) == "retry_wait"
-    assert enum_number(job_pb2.JobState, "retry_wait") == job_pb2.JOB_STATE_RETRY_WAIT
     assert enum_text(scene_pb2.Severity, 0) == ""
-    with pytest.raises(KeyError):
-        enum_number(job_pb2.JobState, "asleep")
 
 
 def test_sizes_are_integers():

@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 from lambent_core.errors import UsageError
-from lambent_proto.v1 import job_pb2
+from lambent_proto.v1 import worker_pb2
 from lambent_run.job.bake import request_of, run_bake
+from lambent_run.job.order import Order
 from support.api import expect, expect_problem
 from support.recording_reporter import RecordingReporter
 from support.runs import Stage, staged
@@ -49,8 +50,8 @@ def test_a_run_gets_the_bundle_and_the_environment(stage: Stage, sky: str):
         "bundle/models/weights.bin",
         "environment.hdr",
     }
-    assert (given.spec.kind, given.check_scene, given.scene_name) == ("bake", False, "inputs")
-    assert given.spec.params["rotate_deg"] == "30"
+    assert (given.kind, given.check_scene, given.scene_name) == ("bake", False, "inputs")
+    assert given.params["rotate_deg"] == "30"
 
 
 @pytest.mark.parametrize(
@@ -73,7 +74,9 @@ def test_an_order_that_names_nothing_usable_is_pointed_at(
 
 def test_an_order_means_a_request(tmp_path: Path):
     params = {"rotate_deg": "-90", "albedo_ratio": "1,2,0.5", "steps": "7", "environment": "env_1"}
-    request = request_of(job_pb2.JobSpec(params=params, seed=5), tmp_path / "environment.hdr", "cpu")
+    request = request_of(
+        worker_pb2.StartResponse(params=params, seed=5, device="cpu"), tmp_path / "environment.hdr"
+    )
     assert (request.name, request.rotate_deg, request.albedo_ratio) == ("env_1", -90.0, (1.0, 2.0, 0.5))
     assert (request.config.num_steps, request.seed, request.device) == (7, 5, "cpu")
 
@@ -83,9 +86,16 @@ def test_settings_that_are_no_numbers_are_refused(tmp_path: Path, params: dict[s
     from flashcache.errors import ConfigError
 
     with pytest.raises(ConfigError, match=next(iter(params))):
-        request_of(job_pb2.JobSpec(params=params), tmp_path / "environment.hdr", "cpu")
+        request_of(worker_pb2.StartResponse(params=params), tmp_path / "environment.hdr")
 
 
 def test_inputs_that_are_gone_end_the_job_with_a_reason(tmp_path: Path):
     with pytest.raises(UsageError, match=r"bake\.input_missing"):
-        run_bake(job_pb2.JobSpec(kind="bake"), tmp_path, tmp_path / "run", "cpu", RecordingReporter())
+        run_bake(
+            Order(
+                start=worker_pb2.StartResponse(kind="bake"),
+                scene_dir=tmp_path,
+                run_dir=tmp_path / "run",
+                reporter=RecordingReporter(),
+            )
+        )

@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from google.protobuf.json_format import MessageToDict
-from lambent_proto.v1 import render_pb2, worker_pb2
+from lambent_core.pictures import RenderSpec
+from lambent_proto.v1 import worker_pb2
 from lambent_relight import cameras_json, turntable, write_environment
-from lambent_server.renders.messages import NewBatch
-from lambent_server.renders.rows import order_of_batch
 from support.api import STRANGER, STRANGER_KEY, Api, expect, expect_problem, opened
 from support.runs import Stage, staged
 from support.server_rows import add_bundle
@@ -216,7 +214,7 @@ def test_a_run_is_told_its_part_and_the_files_that_it_needs(stage: Stage, tmp_pa
     stage.controller.turn()
     for shard, job_id in enumerate(batch["job_ids"][:2]):
         start = stage.call("Start", job_id)
-        assert start.spec.kind == "batch"
+        assert start.kind == "batch"
         assert not start.check_scene
         assert [file.path for file in start.files] == [
             "bundles/bundle_x/cameras.json",
@@ -225,11 +223,11 @@ def test_a_run_is_told_its_part_and_the_files_that_it_needs(stage: Stage, tmp_pa
             f"environments/{sky}.exr",
         ]
         assert (start.render.shard, start.render.num_shards) == (shard, 2)
-        spec = start.render.spec
-        assert [asset.name for asset in spec.assets] == ["bundle_x", "red"]
+        spec = RenderSpec.model_validate_json(start.render.spec)
+        assert [asset.called for asset in spec.assets] == ["bundle_x", "red"]
         assert [light.name for light in spec.environments] == ["bright_sky", "turned"]
         assert spec.environments[1].rotate_deg == 90.0
-        assert list(spec.assets[0].material.albedo) == []
+        assert spec.assets[0].material.albedo is None
         request = worker_pb2.GetBlobRequest(fence={"job_id": job_id, "run": 1}, sha256=start.files[0].sha256)
         from support.runs import metadata
 
@@ -321,51 +319,35 @@ def test_a_part_that_is_tried_again_alone_brings_a_new_table_with_it(stage: Stag
     assert newest[2] != last
 
 
-def test_every_field_of_an_order_reaches_the_message():
-    """Whatever REST takes, the message holds: nothing is lost between server and run."""
-    body = NewBatch(
-        assets=[
-            {
-                "name": "a",
-                "bundle_id": "b",
-                "material": {
-                    "albedo_gain": [2.0, 1.0, 1.0],
-                    "albedo": [0.1, 0.2, 0.3],
-                    "roughness_scale": 0.5,
-                },
-                "object_rotate_deg": 10.0,
-            }
-        ],
-        environments=[
-            {
-                "name": "e",
-                "environment_id": "f",
-                "axes": "mitsuba",
-                "mend": True,
-                "sun_clamp": 9.0,
-                "rotate_deg": 8.0,
-            }
-        ],
-        cameras=[
+def test_every_field_of_an_order_reaches_the_run(stage: Stage, tmp_path: Path):
+    sky = add_environment(stage.api, tmp_path)
+    asset = {
+        "name": "a",
+        "bundle_id": "bundle_x",
+        "material": {"albedo_gain": [2.0, 1.0, 1.0], "albedo": [0.1, 0.0, 0.3], "roughness_scale": 0.0},
+        "object_rotate_deg": 10.0,
+    }
+    light = {
+        "name": "e",
+        "environment_id": sky,
+        "axes": "mitsuba",
+        "layout": "mirror-ball",
+        "mend": True,
+        "sun_clamp": 9.0,
+        "rotate_deg": 8.0,
+    }
+    body = {
+        "name": "all",
+        "assets": [asset],
+        "environments": [light],
+        "cameras": [
             {"name": "c", "turntable": 3, "elevation_deg": 0.0, "radius": 2.0, "start_deg": 5.0, "size": 6},
             {"poses": json.loads(CAMERAS)["cameras"][:1]},
         ],
-        qualities=[{"name": "q", "indirect": False, "seed": 3, "exposure_ev": -1.0}],
-        output={"files": ["exr"], "passes": [], "half": False, "path": "p/{camera}"},
-    )
-    spec = order_of_batch(body).spec
-    from lambent_server.api.rest_json import from_rest
-
-    message = from_rest(render_pb2.RenderSpec, spec.model_dump(mode="json"))
-    shown = MessageToDict(
-        message, preserving_proto_field_name=True, always_print_fields_with_no_presence=True
-    )
-
-    def without_none(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {name: without_none(each) for name, each in value.items() if each not in (None, [])}
-        return [without_none(each) for each in value] if isinstance(value, list) else value
-
-    expected = spec.model_dump(mode="json")
-    assert without_none(shown) == without_none(expected)
-    assert shown["cameras"][0]["elevation_deg"] == 0.0, "zero is a height, not none"
+        "qualities": [{"name": "q", "indirect": False, "seed": 3, "exposure_ev": -1.0}],
+        "output": {"files": ["exr"], "passes": [], "half": False, "path": "p/{camera}"},
+    }
+    batch = expect(stage.api.post("/v1/batches", json={**body, "shards": 1}), 202)
+    stage.controller.turn()
+    start = stage.call("Start", batch["job_ids"][0])
+    assert RenderSpec.model_validate_json(start.render.spec) == RenderSpec.model_validate(body)
