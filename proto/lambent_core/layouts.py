@@ -27,7 +27,7 @@ class Layout:
 
     name: str
     title: str
-    """For people; the same in every language."""
+    """For people, in English."""
     looks_like: str
     """What a folder of this layout has, for the message of one that has nothing known."""
     nested: bool = False
@@ -79,7 +79,7 @@ _ALL = (
     ),
     Layout(
         name="nerfstudio",
-        title="nerfstudio, instant-ngp (transforms.json)",
+        title="nerfstudio or instant-ngp (transforms.json)",
         looks_like="transforms.json",
         nested=True,
     ),
@@ -87,7 +87,7 @@ _ALL = (
     Layout(name="polycam", title="Polycam", looks_like="keyframes/cameras/*.json", nested=True),
     Layout(
         name="photographs",
-        title="photographs",
+        title="photographs, whose cameras are found first",
         looks_like="pictures, from which cameras can be found",
         finds_cameras=True,
     ),

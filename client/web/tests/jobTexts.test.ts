@@ -116,7 +116,13 @@ describe("a report", () => {
     message: "m",
     subject: "",
   });
-  const report = { layout: "colmap", num_train_frames: 40, num_test_frames: 6, figures: null } as SceneReport;
+  const report = {
+    layout: "colmap",
+    layout_title: "COLMAP",
+    num_train_frames: 40,
+    num_test_frames: 6,
+    figures: null,
+  } as SceneReport;
 
   it("tells errors first", () => {
     const found = ordered([finding("a", "warning"), finding("b", "error"), finding("c", "warning")]);

@@ -2,8 +2,9 @@
 
 from typing import Annotated, Any, Literal
 
+from lambent_core.layouts import LAYOUTS
 from lambent_core.pictures import WHOLE, Name
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, computed_field
 
 from lambent_server.api.parameters import Settings, SettingValue
 
@@ -153,6 +154,11 @@ class SceneReportAnswer(SceneReport):
     checked: bool
     figures: CaptureFigures | None
     """Measurements of the capture; null if there are none, or before the scene has been checked."""
+
+    @computed_field
+    def layout_title(self) -> str:
+        """The name of the layout for display, in English; empty before the scene has been checked."""
+        return LAYOUTS[self.layout].title if self.layout in LAYOUTS else self.layout
 
 
 class NewJob(Given):

@@ -1489,6 +1489,11 @@ export interface components {
             findings: components["schemas"]["Finding"][];
             /** Layout */
             layout: string;
+            /**
+             * Layout Title
+             * @description The name of the layout for display, in English; empty before the scene has been checked.
+             */
+            readonly layout_title: string;
             /** Num Test Frames */
             num_test_frames: number;
             /** Num Train Frames */

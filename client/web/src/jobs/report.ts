@@ -5,20 +5,8 @@ import { formatNumber } from "../page/format.js";
 import type { Finding, Scene, SceneReport } from "../page/rest.js";
 import { fillIn, texts } from "../words/words.js";
 
-const layouts: ReadonlyMap<string, string> = new Map([
-  ["tensoir_synthetic", "TensoIR-synthetic"],
-  ["openillumination", "OpenIllumination"],
-  ["glossy_synthetic", "Glossy Synthetic"],
-  ["nerf_blender", "NeRF-Blender (transforms_*.json)"],
-  ["colmap", "COLMAP"],
-  ["polycam", "Polycam"],
-]);
-
-/** Return the name of a layout for display. */
-export function layoutName(layout: string): string {
-  if (layout === "photographs") return texts.scene.photographs;
-  if (layout === "nerfstudio") return texts.scene.nerfstudio;
-  return layouts.get(layout) ?? layout;
+function titleOf({ layout, layout_title }: SceneReport): string {
+  return layout === "photographs" ? texts.scene.photographs : layout_title;
 }
 
 /** Return the findings, errors first, each kind in the order it came in. */
@@ -29,7 +17,7 @@ export function ordered(findings: readonly Finding[]): Finding[] {
 /** Return the lines of the table of what was measured. */
 export function measured(report: SceneReport): [string, string][] {
   const rows: [string, string][] = [];
-  if (report.layout !== "") rows.push([texts.scene.layout, layoutName(report.layout)]);
+  if (report.layout !== "") rows.push([texts.scene.layout, titleOf(report)]);
   if (report.num_train_frames + report.num_test_frames > 0) {
     const parts = [fillIn(texts.scene.trainViews, { number: report.num_train_frames })];
     if (report.num_test_frames > 0)

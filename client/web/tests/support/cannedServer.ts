@@ -51,6 +51,7 @@ function report({ id, state }: Scene): SceneReport {
     ...{ checked, scene_id: id, state, usable: state === "ready" },
     findings: findings[id] ?? [],
     layout: checked ? "photographs" : "",
+    layout_title: checked ? "photographs, whose cameras are found first" : "",
     num_train_frames: checked ? 56 : 0,
     num_test_frames: checked ? 8 : 0,
     figures: !checked

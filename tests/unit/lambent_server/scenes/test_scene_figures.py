@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import grpc
 import pytest
+from lambent_core.layouts import LAYOUTS
 from lambent_proto.v1 import capture_pb2
 from lambent_server.database.schema import garbage
 from lambent_server.database.tenancy import across_tenants
@@ -52,6 +53,7 @@ def scene_id(stage: Stage, job: str) -> str:
 def test_figures_come_back_with_the_report(stage: Stage, scene_id: str):
     report = expect(stage.api.get(f"/v1/scenes/{scene_id}/report"), 200)
     assert report["usable"] is True
+    assert report["layout_title"] == LAYOUTS[report["layout"]].title
     assert report["figures"]["upper_gap_deg"] == 61.5
     (view,) = report["figures"]["views"]
     assert (view["name"], view["split"], view["pictures"][0]["sharpness"]) == ("r_0", "train", 0.9)
