@@ -139,7 +139,7 @@ check-contracts: $(VENV)/.installed
 	$(BIN)/lint-imports --no-logo
 
 check-texts: $(VENV)/.installed
-	$(BIN)/python scripts/check_modules.py
+	$(BIN)/python scripts/check_functions.py
 	$(BIN)/python scripts/check_docs.py
 	$(BIN)/python scripts/check_changelog.py
 	$(BIN)/towncrier build --draft --version next >/dev/null

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from check_modules import ROOT
+from check_functions import ROOT
 from lambent.desktop import opengl
 from lambent.desktop.painter import Painter
 from lambent.desktop.viewer import DesktopOptions, open_model
