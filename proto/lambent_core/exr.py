@@ -13,9 +13,9 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
+from lambent_core.colour import REC709_CHROMATICITIES, rec709_matrix, to_rec709
 from lambent_core.errors import EnvironmentFileError
 from lambent_core.picture_rows import PictureRows
-from lambent_core.primaries import REC709_CHROMATICITIES, rec709_matrix, to_rec709
 
 __all__ = ["REC709_CHROMATICITIES", "read_exr_parts", "read_exr_rgb", "write_exr"]
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent_core.colour import rec709_matrix, to_rec709
 from lambent_core.errors import EnvironmentFileError
 from lambent_core.picture_rows import PictureRows
-from lambent_core.primaries import rec709_matrix, to_rec709
 from lambent_core.rgbe_rows import DamagedLinesError, decode_lines
 
 _MAX_HEADER_BYTES = 1 << 16

@@ -4,7 +4,7 @@ import os
 import sys
 from typing import NoReturn
 
-from lambent_core.extras import pip_install
+from lambent_core.errors import pip_install
 
 # Before anything can load an OpenMP runtime: spinning threads stall every neighbour.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

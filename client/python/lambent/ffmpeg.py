@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from lambent_core.extras import pip_install
+from lambent_core.errors import pip_install
 
 from lambent.errors import UsageProblemError
 

@@ -110,7 +110,7 @@ def __getattr__(name: str) -> object:
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("lambent"):
             raise
-        from lambent_core.extras import pip_install
+        from lambent_core.errors import pip_install
 
         advice = f"{__name__} needs the package {error.name!r}: {pip_install('client')}"
         raise ModuleNotFoundError(advice, name=error.name) from error

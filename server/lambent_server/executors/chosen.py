@@ -4,7 +4,7 @@ import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from lambent_core.extras import pip_install
+from lambent_core.errors import pip_install
 
 from lambent_server.core.settings import Settings
 from lambent_server.executors import Executor

@@ -13,7 +13,7 @@ from datetime import timedelta
 from typing import Any
 from urllib.parse import urlsplit
 
-from lambent_core.extras import pip_install
+from lambent_core.errors import pip_install
 
 MAX_COPY_BYTES = 5 * 1024**3
 """Largest object that S3 copies in one request."""

@@ -5,14 +5,14 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from lambent_core.extras import pip_install
+from lambent_core.errors import pip_install
 
 ROOT = Path(__file__).parents[3]
 SOURCES = sorted(
     path
     for folder in ("client/python", "proto", "server", "worker")
     for path in (ROOT / folder).rglob("*.py")
-    if path.name != "extras.py"
+    if path.parts[-2:] != ("lambent_core", "errors.py")
 )
 PAGES = [
     ROOT / "README.md",

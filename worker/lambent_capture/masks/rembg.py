@@ -21,8 +21,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
-from lambent_core.errors import UsageError, WorkerError
-from lambent_core.extras import pip_install
+from lambent_core.errors import UsageError, WorkerError, pip_install
 from numpy import ndarray
 from PIL import Image
 

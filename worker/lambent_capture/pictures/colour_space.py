@@ -13,8 +13,7 @@ from functools import lru_cache
 import imagecodecs
 import numpy as np
 from jaxtyping import Float32, Float64, Shaped, UInt8
-from lambent_core.colour import linear_from_srgb, srgb_from_linear
-from lambent_core.primaries import rec709_matrix
+from lambent_core.colour import linear_from_srgb, rec709_matrix, srgb_from_linear
 from numpy import ndarray
 from PIL import Image, ImageCms
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
-from lambent_core.extras import pip_install
+from lambent_core.errors import pip_install
 from numpy import ndarray
 
 from lambent_capture.pictures.picture_error import PictureError, reason_of

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from lambent_core.errors import SceneRefusedError, UsageError, WorkerError
-from lambent_core.extras import pip_install
+from lambent_core.errors import SceneRefusedError, UsageError, WorkerError, pip_install
 
 Json = Annotated[bool, typer.Option("--json", help="Write machine-readable lines to standard output.")]
 Layout = Annotated[str, typer.Option(help="Read the folder as this layout instead of detecting it.")]

@@ -8,7 +8,7 @@ from importlib.metadata import entry_points
 from typing import Annotated, Any
 
 import typer
-from lambent_core.extras import pip_install
+from lambent_core.errors import pip_install
 from typer.core import TyperCommand, TyperGroup
 
 from lambent.cli.table import ENTRIES, Entry

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 from lambent_compute.threads import available_threads
-from lambent_core.extras import pip_install
+from lambent_core.errors import pip_install
 
 from lambent import ffmpeg
 from lambent.cli.output import JsonOption, Output, UrlOption, format_size

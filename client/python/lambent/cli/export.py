@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from lambent_core.extras import pip_install
+from lambent_core.errors import pip_install
 from lambent_core.pictures import EnvironmentInput
 
 from lambent.cli.output import JsonOption, Output

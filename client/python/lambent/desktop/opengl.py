@@ -6,7 +6,7 @@ import subprocess
 import sys
 from importlib.util import find_spec
 
-from lambent_core.extras import pip_install
+from lambent_core.errors import pip_install
 
 from lambent.errors import LambentError, UsageProblemError
 

@@ -7,8 +7,7 @@ are. Source: glTF extension KHR_draco_mesh_compression.
 from typing import Any
 
 import numpy as np
-from lambent_core.errors import BundleError, ExportError
-from lambent_core.extras import pip_install
+from lambent_core.errors import BundleError, ExportError, pip_install
 from numpy.typing import NDArray
 
 from lambent_relight.asset.glb import packed_glb

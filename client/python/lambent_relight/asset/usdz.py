@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lambent_core.errors import ExportError
-from lambent_core.extras import pip_install
+from lambent_core.errors import ExportError, pip_install
 
 from lambent_relight.asset.textured_mesh import TexturedMesh
 

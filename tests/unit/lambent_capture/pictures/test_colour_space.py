@@ -16,7 +16,7 @@ from lambent_capture.pictures.colour_space import (
 from lambent_capture.pictures.mask_levels import read_mask
 from lambent_capture.pictures.picture_error import PictureError
 from lambent_capture.pictures.pictures import picture_facts, read_levels, read_picture
-from lambent_core.primaries import rec709_matrix
+from lambent_core.colour import rec709_matrix
 from PIL import Image, ImageCms
 from support.colour_profiles import display_p3
 from support.png_files import png_bytes, png_chunk

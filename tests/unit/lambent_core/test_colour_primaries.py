@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lambent_core.primaries import REC709_CHROMATICITIES, rec709_matrix, to_rec709
+from lambent_core.colour import REC709_CHROMATICITIES, rec709_matrix, to_rec709
 from support.environment_layouts import (
     ACESCG,
     ACESCG_FROM_REC709,
