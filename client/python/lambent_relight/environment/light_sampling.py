@@ -27,8 +27,6 @@ _SHARPNESS_TIMES_ALPHA_SQUARED = 0.84
 """Gives the lobe exp(k (cos - 1)) the same half width as a GGX reflection of width alpha."""
 _MAX_ROWS = 512
 _CELL_ROWS, _CELL_COLUMNS = 32, 64
-AXES_SIDE = 16
-"""Bins along each side of the octahedral map of axes."""
 _FLOOR_SHARE = 0.02
 
 
@@ -182,6 +180,8 @@ def _lobe_table(
 
 def _bin_axes() -> NDArray[np.float64]:
     """Return the unit vector at the middle of every bin of the kernels' `row_of`, [bin, 3]."""
+    from lambent_relight.environment.light_sampling_kernels import AXES_SIDE
+
     middle = (np.arange(AXES_SIDE) + 0.5) * (2 / AXES_SIDE) - 1
     y, x = (a.ravel() for a in np.meshgrid(middle, middle, indexing="ij"))
     z = 1 - np.abs(x) - np.abs(y)

@@ -10,7 +10,8 @@ import numpy as np
 from lambent_compute.compiling import compiled, inlined
 from numpy.typing import NDArray
 
-from lambent_relight.environment.light_sampling import AXES_SIDE
+AXES_SIDE = 16
+"""Bins along each side of the octahedral map of axes."""
 
 
 class Table(NamedTuple):

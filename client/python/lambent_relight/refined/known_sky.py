@@ -24,6 +24,7 @@ from lambent_relight.environment.maps import Environment
 _ROWS = 192
 """Least number of rows of pixels; light is constant inside one."""
 _MOST_ROWS = 768
+_NO_CELLS = (np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.int32), np.zeros((0, 32), np.uint8))
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,13 @@ class KnownSky:
     def __getitem__(self, index: object) -> "KnownSky":
         """Return that of some of the points."""
         return KnownSky(self.cells, self.seen[index], self.radiance[index])
+
+
+def cells_of(sky: KnownSky | None) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
+    """Return radiance and cells of a known sky's pixels and the cells that points see; of none, no points."""
+    if sky is None:
+        return _NO_CELLS
+    return sky.cells.radiance, sky.cells.cell, np.ascontiguousarray(sky.seen)
 
 
 def _fine(height: int, width: int) -> tuple[int, int]:

@@ -16,6 +16,7 @@ from lambent_relight.bundle.graphs import AdaptedHits
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment
 from lambent_relight.refined.known_light import KnownLight
+from lambent_relight.refined.known_sky import cells_of
 from lambent_relight.refined.scattering import (
     LightDirections,
     SurfacePoints,
@@ -96,7 +97,7 @@ def _trace(
         (mesh.tree, mesh.one_sided),
         (light.environment.radiance, np.float32(light.environment.rotate_deg / 360.0)),
         (origin, np.ascontiguousarray(points.normal, np.float32)),
-        kernels.cells_of(known.sky),
+        cells_of(known.sky),
         (drawn.omega_i, *lobes, drawn.pdf_solid_angle[:, 0]),
         indirect,
         rays,

@@ -4,19 +4,8 @@ import math
 
 import numpy as np
 from lambent_compute.compiling import compiled, inlined
-from numpy.typing import NDArray
 
-from lambent_relight.refined.known_sky import KnownSky
 from lambent_relight.tracing.kernels import STACK, first_face
-
-_NO_CELLS = (np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.int32), np.zeros((0, 32), np.uint8))
-
-
-def cells_of(sky: KnownSky | None) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
-    """Return radiance and cells of a known sky's pixels and the cells that points see; of none, no points."""
-    if sky is None:
-        return _NO_CELLS
-    return sky.cells.radiance, sky.cells.cell, np.ascontiguousarray(sky.seen)
 
 
 @inlined()
