@@ -106,7 +106,6 @@ def write_result(order: Order, num_steps: int) -> Path:
         path="models/weights.bin",
         size_bytes=len(weights),
         sha256=hashlib.sha256(weights).hexdigest(),
-        media_type="application/octet-stream",
         role="weights",
     )
     text = MessageToJson(
@@ -129,7 +128,7 @@ def _add_rendering(bundle: Path) -> None:
     manifest = json.loads((bundle / "manifest.json").read_text())
     digest = hashlib.sha256(PNG).hexdigest()
     entry = {"path": "preview/000.png", "size_bytes": len(PNG), "sha256": digest}
-    manifest["files"].append(entry | {"media_type": "image/png", "role": "preview"})
+    manifest["files"].append(entry | {"role": "preview"})
     (bundle / "manifest.json").write_text(json.dumps(manifest))
 
 
