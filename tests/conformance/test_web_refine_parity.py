@@ -56,7 +56,7 @@ def expected(
 
 @pytest.mark.parametrize(
     ("backend", "workers", "edited"),
-    [("mesh", 1, False), ("mesh", 3, True), ("wgsl", 1, False), ("wasm", 1, True)],
+    [("mesh", 1, False), ("mesh", 3, True), ("wasm", 1, False), ("wasm", 1, True)],
 )
 def test_the_browser_refines_what_python_does(page, data, backend, workers, edited):
     edit, rotate_deg, state = MaterialEdit(), 0.0, ""

@@ -1,4 +1,4 @@
-"""The web engine's readers of a bundle in the browser of `support.chromium`: onnxruntime-web and WGSL."""
+"""The web engine's reader of a bundle's graphs, onnxruntime-web, in the browser of `support.chromium`."""
 
 import base64
 import contextlib
@@ -62,25 +62,15 @@ class EnginePage:
         found = self._call("run", name, _texts(inputs), _widths(inputs))
         return {key: _array(text, rows) for key, text in found.items()}
 
-    def fuse(self, name: str, path: str, light: str = "", folder: str = "bundle") -> int:
-        """Compile the fast cache for WebGPU, with the radiance of a light; returns floats per answer.
-
-        `folder` is the bundle's, "bundle" or below it.
-        """
-        return int(self._call("fuse", name, path, light, folder))
-
-    def run_fused(self, name: str, rays: np.ndarray) -> dict[str, np.ndarray]:
-        """Return what rays [ray, 6] see."""
-        found = self._call("runFused", name, _text(rays))
-        return {key: _array(text, len(rays)) for key, text in found.items()}
+    def trace(self, path: str, backend: str, rays: np.ndarray) -> tuple[dict[str, np.ndarray], str, str]:
+        """Return what the tracer of the refinement finds for rays [ray, 6], its backend, and its note."""
+        found = self._call("trace", path, backend, _text(rays))
+        taken, note = found.pop("backend"), found.pop("note")
+        return {key: _array(text, len(rays)) for key, text in found.items()}, taken, note
 
     def time(self, name: str, inputs: Arrays, times: int) -> float:
         """Return the shortest of some runs of a graph, in milliseconds."""
         return float(self._call("time", name, _texts(inputs), _widths(inputs), times))
-
-    def time_fused(self, name: str, rays: np.ndarray, times: int) -> float:
-        """Return the shortest of some runs of a compiled cache, in milliseconds."""
-        return float(self._call("timeFused", name, _text(rays), times))
 
     def _call(self, function: str, *arguments: object) -> object:
         given = ", ".join(json.dumps(argument) for argument in arguments)

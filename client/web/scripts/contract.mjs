@@ -20,9 +20,9 @@ const root = resolve(web, "../..");
 const proto = join(root, "proto");
 const contract = join(web, "src/contract");
 
-// The service between server and run process is not spoken in the browser.
+// What the browser reads: bundles with what their messages use, and ONNX graphs.
 const messages = "lambent_proto/v1";
-const skipped = new Set(["worker.proto"]);
+const read = ["bundle.proto", "onnx.proto", "scene.proto"];
 
 function filesUnder(folder) {
   if (!existsSync(folder)) return [];
@@ -35,10 +35,7 @@ function filesUnder(folder) {
 function generate(target) {
   const python = process.env.PYTHON ?? join(root, ".venv/bin/python");
   const plugin = join(web, "node_modules/.bin/protoc-gen-es");
-  const sources = readdirSync(join(proto, messages))
-    .filter((name) => name.endsWith(".proto") && !skipped.has(name))
-    .sort()
-    .map((name) => `${messages}/${name}`);
+  const sources = read.map((name) => `${messages}/${name}`);
   execFileSync(
     python,
     [

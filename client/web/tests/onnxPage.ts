@@ -1,17 +1,16 @@
 /**
- * The page that tests/support/engine_page.py opens in a browser: the engine's two readers of a bundle's networks, with
+ * The page that tests/support/engine_page.py opens in a browser: the engine's reader of a bundle's networks, with
  * arrays as base64 text of little-endian float32 numbers.
  */
 
-import { openBundle } from "../src/bundle/manifest.js";
-import { FusedCache, packFastCache } from "../src/engine/fusedCache.js";
 import { type OnnxGraph, openGraph, type Provider } from "../src/engine/onnxGraphs.js";
-import { loadWebgpu, withoutHalves } from "./onnxWebgpu.js";
+import { withoutHalves } from "../src/engine/onnxModel.js";
+import { openCache } from "../src/refine/tracer.js";
+import { openBundle } from "../src/bundle/manifest.js";
 
 type Arrays = Record<string, string>;
 
 const graphs = new Map<string, OnnxGraph>();
-const caches = new Map<string, FusedCache>();
 
 async function fetched(path: string): Promise<Uint8Array<ArrayBuffer>> {
   const answer = await fetch(path);
@@ -46,7 +45,9 @@ async function open(name: string, path: string, provider: Provider, outputs?: st
     name,
     await openGraph(stored.model, stored.weights, {
       provider,
-      runtime: await (provider === "webgpu" ? loadWebgpu() : import("onnxruntime-web/wasm")),
+      runtime: await (provider === "webgpu"
+        ? import("onnxruntime-web/webgpu")
+        : import("onnxruntime-web/wasm")),
       wasmFolder: new URL("ort/", location.href).href,
       ...(outputs === undefined ? {} : { outputs }),
     }),
@@ -60,27 +61,23 @@ async function run(name: string, inputs: Arrays, widths: Record<string, number>)
   return Object.fromEntries(Object.entries(found).map(([key, array]) => [key, toText(array)]));
 }
 
-/** Pack and compile the fast cache of the bundle in a folder beside the page; `light` adds its radiance. */
-async function fuse(name: string, path: string, light: string, folder: string): Promise<number> {
+/** Return what the tracer of the refinement finds with a backend, and the backend that it took. */
+async function trace(path: string, backend: "cache" | "webgpu" | "wasm", rays: string): Promise<Arrays> {
   const { manifest, read } = await openBundle({
     paths: null,
-    read: (file: string) => fetched(`${folder}/${file}`),
+    read: (file: string) => fetched(`bundle/${file}`),
   });
-  const packed = packFastCache(manifest, await read(path), await read("models/weights.bin"), light);
-  const device = await (await adapter()).requestDevice();
-  device.addEventListener("uncapturederror", (event) => console.error(event.error.message));
-  const cache = await FusedCache.create(device, packed);
-  caches.set(name, cache);
-  return cache.answerWidth;
-}
-
-async function runFused(name: string, rays: string): Promise<Arrays> {
-  const found = await caches.get(name)!.run(fromText(rays));
-  return {
-    opacity: toText(found.opacity),
-    distance: toText(found.distance),
-    ...(found.radianceRgb === null ? {} : { radiance: toText(found.radianceRgb) }),
-  };
+  const files = { manifest, model: await read(path), weights: await read("models/weights.bin") };
+  // The packager of the pages puts these files beside its modules.
+  for (const { env } of await Promise.all([
+    import("onnxruntime-web/webgpu"),
+    import("onnxruntime-web/wasm"),
+  ])) {
+    env.wasm.wasmPaths = new URL("ort/", location.href).href;
+  }
+  const { tracer, note } = await openCache(files, backend);
+  const { opacity, distance } = await tracer.trace(fromText(rays));
+  return { opacity: toText(opacity), distance: toText(distance), backend: tracer.backend, note };
 }
 
 /** Return the shortest of `times` durations of a task, in milliseconds; it runs once before. */
@@ -105,9 +102,4 @@ async function time(
   return shortest(() => graphs.get(name)!.run(values, widths), times);
 }
 
-async function timeFused(name: string, rays: string, times: number): Promise<number> {
-  const values = fromText(rays);
-  return shortest(() => caches.get(name)!.run(values), times);
-}
-
-Object.assign(window, { engine: { open, run, fuse, runFused, time, timeFused } });
+Object.assign(window, { engine: { open, run, trace, time } });

@@ -45,7 +45,7 @@ describe("the workers of a refinement", () => {
     expect([1, 2, 4, 16].map((count) => workersFor(refineOptions, count, small, false))).toEqual([
       1, 1, 3, 4,
     ]);
-    expect(workersFor({ ...refineOptions, backend: "wgsl" }, 16, small, false)).toBe(1);
+    expect(workersFor({ ...refineOptions, backend: "webgpu" }, 16, small, false)).toBe(1);
     expect(workersFor({ ...refineOptions, workers: 2 }, 1, small, false)).toBe(2);
   });
 

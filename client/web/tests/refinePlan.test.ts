@@ -51,9 +51,9 @@ describe("the plan of a picture", () => {
 describe("the status", () => {
   it("says what happens, with the noise and what computes", () => {
     expect(statusText(notRefining)).toBe("");
-    const running = { ...notRefining, phase: "running", backend: "wgsl", samplesPerPixel: 64 } as const;
+    const running = { ...notRefining, phase: "running", backend: "webgpu", samplesPerPixel: 64 } as const;
     expect(statusText({ ...running, relativeError: 0.0234 })).toBe(
-      "64 samples per pixel, noise 2.3%, by WebGPU…",
+      "64 samples per pixel, noise 2.3%, by the trained cache on WebGPU…",
     );
     const slow = {
       ...running,
@@ -76,7 +76,7 @@ describe("caches that were adapted to a light", () => {
     expect(adaptedNote(manifest(graph("fast_cache", "sky"), graph("gbuffer", "")))).toBe("");
     const note = adaptedNote(manifest(graph("fast_cache", "sky"), graph("fast_cache", "sunset")));
     expect(note).toContain("adapted to sunset");
-    expect(statusText({ ...notRefining, phase: "running", backend: "wgsl", note })).toContain(note);
+    expect(statusText({ ...notRefining, phase: "running", backend: "webgpu", note })).toContain(note);
   });
 });
 

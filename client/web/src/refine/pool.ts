@@ -25,7 +25,7 @@ export function workersFor(
   { mesh, transport }: Held,
   shared: boolean,
 ): number {
-  if (backend !== "auto" && backend !== "mesh") return 1;
+  if (backend !== "mesh") return 1;
   const wanted = workers > 0 ? workers : Math.min(Math.max(processors - 1, 1), mostWorkers);
   const given = buffersOf({ mesh, transport }).reduce((sum, { byteLength }) => sum + byteLength, 0);
   const own = bytesPerTexel * transport.numTexels;

@@ -24,7 +24,7 @@ import { onePass } from "./passes.js";
 import { pixelFeatures } from "./pixelFeatures.js";
 import { brightness, SkyLight } from "./skyLight.js";
 import { type SurfacePoints, surfacePoints } from "./surfacePoints.js";
-import { type CacheFiles, openMesh, openTracer, RefineFault, type Tracer } from "./tracer.js";
+import { type CacheFiles, openCache, openMesh, RefineFault, type Tracer } from "./tracer.js";
 import { bundleFaults } from "../words/words.js";
 import { workerSpeaks } from "../words/languages.js";
 
@@ -95,8 +95,8 @@ async function open(question: OpenQuestion): Promise<void> {
     port.postMessage(tables);
   }
   let [tracer, note] = [null as Tracer | null, ""];
-  if (backend === "auto" || backend === "mesh") tracer = openMesh(mesh, transport);
-  else ({ tracer, note } = await openTracer(await cacheFiles(files), backend));
+  if (backend === "mesh") tracer = openMesh(mesh, transport);
+  else ({ tracer, note } = await openCache(await cacheFiles(files), backend));
   opened = { tracer, scene: new HitScene({ ...transport, ...tables }, mesh), share };
   answer({ kind: "opened", backend: tracer.backend, note, slow: tracer.slow });
 }

@@ -3,10 +3,10 @@
 import { fillIn, locale, texts } from "../words/words.js";
 
 /**
- * What finds the light that reaches a point: "mesh": exact rays against the mesh, on the processor; "wgsl" and "wasm":
- * the fast cache, as a shader on graphics hardware or by onnxruntime on the processor.
+ * What finds the light that reaches a point: "mesh": exact rays against the mesh, on the processor; "webgpu" and "wasm":
+ * the graph of the fast cache, by onnxruntime on graphics hardware or on the processor.
  */
-export type Backend = "mesh" | "wgsl" | "wasm";
+export type Backend = "mesh" | "webgpu" | "wasm";
 
 /** The current status of a refinement. */
 export type RefineStatus = {
@@ -37,8 +37,8 @@ export const notRefining: RefineStatus = {
 
 /** When refining stops, and its backend. */
 export type RefineOptions = {
-  /** "auto" is "mesh". */
-  readonly backend: Backend | "auto";
+  /** "cache" is "webgpu" where that works, else "wasm". */
+  readonly backend: Backend | "cache";
   /** Workers that trace the mesh; 0: as many as leave a processor to the page, four at most. */
   readonly workers: number;
   /** Points of the surface that are refined at most; 0: as many as the backend can in time. */
@@ -52,7 +52,7 @@ export type RefineOptions = {
 };
 
 export const refineOptions: RefineOptions = {
-  backend: "auto",
+  backend: "mesh",
   workers: 0,
   points: 0,
   denoise: true,

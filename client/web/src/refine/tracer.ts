@@ -1,13 +1,10 @@
-/**
- * Traces secondary rays: against the mesh, or with the fast cache as a shader on graphics hardware or in WebAssembly.
- */
+/** Traces secondary rays: against the mesh, or with the trained fast cache, whose graph onnxruntime-web runs. */
 
 import type { BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { type AtlasMesh, boundsOf } from "../bundle/mesh.js";
 import type { PackedTransport } from "../bundle/transport.js";
-import { FusedCache, packFastCache } from "../engine/fusedCache.js";
-import { NotFused } from "../engine/fusedWeights.js";
-import { openGraph } from "../engine/onnxGraphs.js";
+import { type OnnxGraph, openGraph } from "../engine/onnxGraphs.js";
+import { withoutHalves } from "../engine/onnxModel.js";
 import { MeshRays } from "./meshRays.js";
 import type { Backend } from "./status.js";
 import { deviceFaults, fillIn } from "../words/words.js";
@@ -53,6 +50,7 @@ const meshOffset = 1e-4;
 const slowMs = 250;
 const quickMs = 60;
 const [leastRays, mostRays] = [1024, 65536];
+const outputs = ["opacity", "distance"];
 
 /** Return a tracer of exact rays against a mesh, which needs no networks and is the same in every browser. */
 export function openMesh(mesh: AtlasMesh, { texelPlane, size }: PackedTransport): Tracer {
@@ -91,14 +89,27 @@ export function openMesh(mesh: AtlasMesh, { texelPlane, size }: PackedTransport)
   });
 }
 
-/** Open the fastest tracer of a fast cache that works here; throws RefineFault where none does. */
-export async function openTracer(files: CacheFiles, wanted: Backend | "auto"): Promise<OpenedTracer> {
+/**
+ * Open a tracer of a fast cache: "cache" takes graphics hardware where it works, else the processor and says why. Throws
+ * RefineFault where what is wanted does not work here.
+ */
+export async function openCache(
+  files: CacheFiles,
+  wanted: "cache" | "webgpu" | "wasm",
+): Promise<OpenedTracer> {
   let reason = "";
   if (wanted !== "wasm") {
-    const opened = await openWgsl(files);
-    if (typeof opened !== "string") return { tracer: opened, note: "" };
-    reason = opened;
-    if (wanted === "wgsl") throw new RefineFault(fillIn(deviceFaults.tryAnother, { reason }));
+    try {
+      const adapter = await navigator.gpu?.requestAdapter().catch(() => null);
+      if (!adapter) throw new RefineFault(deviceFaults.noWebgpu);
+      // Far slower than WebAssembly, where both run on the processor.
+      if (wanted === "cache" && adapter.info.isFallbackAdapter)
+        throw new RefineFault(deviceFaults.softWebgpu);
+      return { tracer: await openWebgpu(adapter, files), note: "" };
+    } catch (error) {
+      reason = firstLine(error);
+      if (wanted === "webgpu") throw new RefineFault(fillIn(deviceFaults.tryAnother, { reason }));
+    }
   }
   try {
     return { tracer: await openWasm(files), note: reason };
@@ -109,47 +120,44 @@ export async function openTracer(files: CacheFiles, wanted: Backend | "auto"): P
   }
 }
 
-/** Return a tracer on graphics hardware, or why there is none. */
-async function openWgsl({ manifest, model, weights }: CacheFiles): Promise<Tracer | string> {
-  const adapter = await navigator.gpu?.requestAdapter().catch(() => null);
-  if (!adapter) return deviceFaults.noWebgpu;
-  let device: GPUDevice | null = null;
-  try {
-    const packed = packFastCache(manifest, model, weights);
-    const largest = Math.max(packed.tables.byteLength, packed.blocks.byteLength, 24 * mostRays);
-    if (largest > Math.min(adapter.limits.maxStorageBufferBindingSize, adapter.limits.maxBufferSize)) {
-      return deviceFaults.smallBuffers;
-    }
-    const opened = await adapter.requestDevice({
-      requiredLimits: { maxStorageBufferBindingSize: largest, maxBufferSize: largest },
-    });
-    device = opened;
-    const cache = await FusedCache.create(opened, packed);
-    let trouble = "";
-    opened.addEventListener("uncapturederror", ({ error }) => {
-      trouble = firstLine(error);
-    });
-    void opened.lost.then(({ message }) => {
-      trouble = message || deviceFaults.lost;
-    });
-    return paced("wgsl", adapter.info.isFallbackAdapter, offsetOf(manifest), async (rays) => {
-      const answers = await cache.run(rays).catch((error: unknown) => {
-        trouble ||= firstLine(error);
-        return null;
-      });
-      if (answers === null || trouble !== "") {
-        throw new RefineFault(fillIn(deviceFaults.webgpuFailed, { detail: trouble }));
-      }
-      return answers;
-    });
-  } catch (error) {
-    device?.destroy();
-    if (error instanceof NotFused) return fillIn(deviceFaults.otherForm, { detail: error.message });
-    if (error instanceof GPUPipelineError || error instanceof DOMException) {
-      return fillIn(deviceFaults.webgpuRefused, { detail: firstLine(error) });
-    }
-    throw error;
+async function openWebgpu(adapter: GPUAdapter, { manifest, model, weights }: CacheFiles): Promise<Tracer> {
+  // The graph's tables are halves, with which not all graphics hardware computes.
+  const stored = adapter.features.has("shader-f16") ? { model, weights } : withoutHalves(model, weights);
+  const runtime = await import("onnxruntime-web/webgpu");
+  const graph = await openGraph(stored.model, stored.weights, { provider: "webgpu", runtime, outputs }).catch(
+    (error: unknown) => {
+      throw new RefineFault(fillIn(deviceFaults.webgpuRefused, { detail: firstLine(error) }));
+    },
+  );
+  return paced("webgpu", adapter.info.isFallbackAdapter, offsetOf(manifest), (rays) =>
+    ask(graph, rays).catch((error: unknown) => {
+      throw new RefineFault(fillIn(deviceFaults.webgpuFailed, { detail: firstLine(error) }));
+    }),
+  );
+}
+
+async function openWasm({ manifest, model, weights }: CacheFiles): Promise<Tracer> {
+  // 4 MB to fetch, which no page should carry that does not refine.
+  const runtime = await import("onnxruntime-web/wasm");
+  const graph = await openGraph(model, weights, { provider: "wasm", runtime, outputs });
+  return paced("wasm", true, offsetOf(manifest), async (rays) => {
+    const answers = await ask(graph, rays);
+    // This runtime never waits for anything; this lets messages in, of which one may say stop.
+    await new Promise((resolve) => setTimeout(resolve));
+    return answers;
+  });
+}
+
+/** Return what a graph answers to rays of six floats each. */
+async function ask(graph: OnnxGraph, rays: Float32Array): Promise<Traced> {
+  const count = rays.length / 6;
+  const [origin, direction] = [new Float32Array(3 * count), new Float32Array(3 * count)];
+  for (let ray = 0; ray < count; ray++) {
+    origin.set(rays.subarray(6 * ray, 6 * ray + 3), 3 * ray);
+    direction.set(rays.subarray(6 * ray + 3, 6 * ray + 6), 3 * ray);
   }
+  const found = await graph.run({ origin, direction }, { origin: 3, direction: 3 });
+  return { opacity: found.opacity!, distance: found.distance! };
 }
 
 /** Return the first line of what went wrong, short enough for a panel. */
@@ -160,28 +168,6 @@ function firstLine(error: unknown): string {
 
 function offsetOf(manifest: BundleManifest): number {
   return manifest.secondaryRays?.originOffset ?? 0;
-}
-
-async function openWasm({ manifest, model, weights }: CacheFiles): Promise<Tracer> {
-  const graph = await openGraph(model, weights, {
-    provider: "wasm",
-    // 4 MB to fetch, which no page should carry that does not refine.
-    runtime: await import("onnxruntime-web/wasm"),
-    outputs: ["opacity", "distance"],
-  });
-  const run = async (rays: Float32Array): Promise<Traced> => {
-    const count = rays.length / 6;
-    const [origin, direction] = [new Float32Array(3 * count), new Float32Array(3 * count)];
-    for (let ray = 0; ray < count; ray++) {
-      origin.set(rays.subarray(6 * ray, 6 * ray + 3), 3 * ray);
-      direction.set(rays.subarray(6 * ray + 3, 6 * ray + 6), 3 * ray);
-    }
-    const found = await graph.run({ origin, direction }, { origin: 3, direction: 3 });
-    // The runtime never waits for anything; this lets messages in, of which one may say stop.
-    await new Promise((resolve) => setTimeout(resolve));
-    return { opacity: found.opacity!, distance: found.distance! };
-  };
-  return paced("wasm", true, offsetOf(manifest), run);
 }
 
 /** Find out how many rays a call may have: longer calls waste less, but nothing can be stopped during one. */

@@ -97,6 +97,19 @@ export function buildPanel(
     refining.hidden = refining.textContent === "";
   });
 
+  const rays = choice<"mesh" | "cache">(
+    texts.panel.rays,
+    () => [
+      ["mesh", texts.panel.raysOf.mesh],
+      ["cache", texts.panel.raysOf.cache],
+    ],
+    (backend) => viewer.refineAgainst(backend),
+  );
+  const raysBox = follow(rays, () => (viewer.refineOptions.backend === "mesh" ? "mesh" : "cache"));
+  shown.push(() => {
+    raysBox.hidden = !viewer.state.refine;
+  });
+
   const element = make(
     "details",
     { className: "panel", open: true },
@@ -136,6 +149,7 @@ export function buildPanel(
       ),
       ofLook("indirect", (change) => check(texts.panel.indirect, change)),
       ofState("refine", (change) => check(texts.panel.refine, change)),
+      raysBox,
       refining,
       ofLook("ground", (change) => check(texts.panel.ground, change)),
       button(texts.panel.resetPicture, () => act.reset("picture")),

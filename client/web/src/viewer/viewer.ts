@@ -344,6 +344,16 @@ export class Viewer {
     } else if (samples > 1) this.#refineSoon();
   }
 
+  /** Trace rays of refined pictures against the mesh, or ask the trained cache; what is shown is refined anew. */
+  refineAgainst(backend: RefineOptions["backend"]): void {
+    if (backend === this.refineOptions.backend) return;
+    this.refineOptions = { ...this.refineOptions, backend };
+    if (this.#refinement === null) return;
+    this.#endRefining();
+    this.#tell("refine", notRefining);
+    this.#drawNow(stillSamples);
+  }
+
   #endRefining(): void {
     this.#refinement?.dispose();
     this.#refinement = null;

@@ -46,7 +46,7 @@ const forBrowser = new Set([
 /** Calls whose texts are for programs, or for programmers. */
 const forPrograms = new Set([
   ...["querySelector", "querySelectorAll", "closest", "matches", "matchMedia", "setProperty", "getContext"],
-  ...["DOMException", "NotFused", "addEventListener", "set", "get", "has", "includes", "startsWith", "on"],
+  ...["DOMException", "addEventListener", "set", "get", "has", "includes", "startsWith", "on"],
 ]);
 const twoWords = /\p{L}{2,}[,.;:!?]? \(?\p{L}/u;
 const aWord = /\p{L}{2,}/u;
