@@ -196,7 +196,7 @@ def test_the_panel_chooses_what_rays_are_traced_against(opened):
     assert "tracing the mesh" in shown_text(page)
     mesh = page.refined()
     before = len(page.statuses())
-    choose(page, "the trained cache (ONNX)")
+    choose(page, "trained cache (ONNX)")
     page.page.wait(f"statuses.slice({before}).some((each) => ['done', 'failed'].includes(each.phase))", 240.0)
     done = page.statuses()[-1]
     assert (done["phase"], done["backend"]) == ("done", "wasm"), done
@@ -210,7 +210,7 @@ def test_the_panel_chooses_what_rays_are_traced_against(opened):
     covered = mesh["coverage"][..., 0] > 0.99
     assert cache["directRgb"][covered].mean() < 0.95 * mesh["directRgb"][covered].mean()
     before = len(page.statuses())
-    choose(page, "the mesh")
+    choose(page, "mesh")
     page.page.wait(f"statuses.slice({before}).some((each) => each.phase === 'done')", 240.0)
     assert page.statuses()[-1]["backend"] == "mesh"
 
