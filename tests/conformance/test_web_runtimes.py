@@ -1,4 +1,4 @@
-"""A bundle's networks in a browser: onnxruntime-web on processor and WebGPU, and the WGSL reader.
+"""A bundle's graphs in a browser: onnxruntime-web on processor and WebGPU, and the refinement's tracer on it.
 
 WebGPU is computed in software (SwiftShader). Sessions on it may not hand any node back to the processor.
 """

@@ -129,8 +129,14 @@ async function openWebgpu(adapter: GPUAdapter, { manifest, model, weights }: Cac
       throw new RefineFault(fillIn(deviceFaults.webgpuRefused, { detail: firstLine(error) }));
     },
   );
+  // A call to hardware that is lost never ends by itself.
+  const { lost } = (await runtime.env.webgpu.device) as GPUDevice;
+  const gone = lost.then(({ message }) => {
+    throw new Error(message || deviceFaults.lost);
+  });
+  gone.catch(() => {});
   return paced("webgpu", adapter.info.isFallbackAdapter, offsetOf(manifest), (rays) =>
-    ask(graph, rays).catch((error: unknown) => {
+    Promise.race([ask(graph, rays), gone]).catch((error: unknown) => {
       throw new RefineFault(fillIn(deviceFaults.webgpuFailed, { detail: firstLine(error) }));
     }),
   );
