@@ -1,4 +1,4 @@
-"""Refined pictures of the web viewer against Python's, by noise alone: against the mesh, and the cache in WASM."""
+"""Refined pictures of the web viewer against Python's, by noise alone: mesh, and trained cache in WASM."""
 
 from collections.abc import Iterator
 from pathlib import Path
