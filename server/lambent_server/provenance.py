@@ -21,6 +21,7 @@ from lambent_server.core.clock import now, rfc3339
 from lambent_server.core.secrets import SecretError, read_or_create
 from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
+from lambent_server.database.model import JobRow
 from lambent_server.database.people_schema import provenance_statements
 from lambent_server.database.tenancy import Tenant, add, remove, rows
 
@@ -111,7 +112,7 @@ def pre_authentication(payload_type: str, payload: bytes) -> bytes:
 
 
 def statement_of(
-    job: Mapping[str, Any],
+    job: JobRow,
     *,
     bundle_id: str,
     files: Mapping[str, str],
@@ -125,7 +126,8 @@ def statement_of(
     its name, version and revision.
     """
     external = {
-        name: job[name] for name in ("kind", "preset", "params", "seed", "gpus", "scene_id", "labels")
+        name: getattr(job, name)
+        for name in ("kind", "preset", "params", "seed", "gpus", "scene_id", "labels")
     }
     code = {"name": generator["name"] or "lambent", "annotations": {"version": generator["version"]}}
     if generator["git_revision"]:
@@ -138,14 +140,14 @@ def statement_of(
             "buildDefinition": {
                 "buildType": BUILD_TYPE,
                 "externalParameters": external,
-                "internalParameters": {"adjustments": job["adjustments"], "machine": machine(job)},
+                "internalParameters": {"adjustments": job.adjustments, "machine": machine(job)},
                 "resolvedDependencies": [code, *(_resource(path, sha256) for path, sha256 in sorted(inputs))],
             },
             "runDetails": {
                 "builder": {"id": f"urn:lambent:server:{key_id}", "version": {"lambent": version("lambent")}},
                 "metadata": {
-                    "invocationId": f"{job['id']}/{job['run']}",
-                    "startedOn": rfc3339(job["started_at"] or job["created_at"]),
+                    "invocationId": f"{job.id}/{job.run}",
+                    "startedOn": rfc3339(job.started_at or job.created_at),
                     "finishedOn": rfc3339(now()),
                 },
                 "byproducts": [{"name": "bundle", "annotations": {"id": bundle_id}}],
@@ -158,15 +160,15 @@ def _resource(path: str, sha256: str) -> dict[str, Any]:
     return {"name": path, "digest": {"sha256": sha256}}
 
 
-def machine(job: Mapping[str, Any]) -> dict[str, Any]:
+def machine(job: JobRow) -> dict[str, Any]:
     """Return what kind of machine this is, where local runs are too, and the GPUs that a run has had."""
-    used = (job["handle"] or {}).get("gpus", [])
+    used = (job.handle or {}).get("gpus", [])
     return {
         "system": platform.system(),
         "architecture": platform.machine(),
         "python": platform.python_version(),
         "cores": os.cpu_count() or 0,
-        "gpus": job["gpus"],
+        "gpus": job.gpus,
         "gpu_models": _gpu_models(used),
     }
 

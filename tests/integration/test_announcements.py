@@ -12,6 +12,7 @@ from lambent_server.core.settings import Settings
 from lambent_server.database.announcing import announce
 from lambent_server.database.engine import Database
 from lambent_server.database.listening import Listener
+from lambent_server.database.model import JobRow
 from lambent_server.database.tenancy import Tenant
 from lambent_server.http.budget import Budget
 from lambent_server.jobs.feed import Feed, Subscription
@@ -61,7 +62,7 @@ def listening(database: Database, url: str, act: Callable[[Listener, list[int]],
     asyncio.run(body())
 
 
-def add_job(database: Database) -> dict[str, Any]:
+def add_job(database: Database) -> JobRow:
     values = {"kind": "train", "scene_id": "x", "preset": "tiny", "params": {}, "seed": 0}
     with database.write() as connection:
         return insert_job(connection, TENANT, labels={}, **values)
@@ -134,7 +135,7 @@ def test_a_stream_of_another_server_gets_an_event_long_before_the_next_poll(url:
         listener = Listener(here.settings.listening_url, here.database, here.wakeups.signal)
         task = asyncio.create_task(listener.run())
         await until(lambda: listener.listening)
-        feed, stream = Feed(here, Budget(here.settings)), Subscription(frozenset({job["id"]}), {job["id"]: 1})
+        feed, stream = Feed(here, Budget(here.settings)), Subscription(frozenset({job.id}), {job.id: 1})
         with feed.subscribed(TENANT, stream):
             await feed.begin()
             await asyncio.sleep(0.5)

@@ -86,9 +86,9 @@ def chosen(database: Database, load: Counter[str], free_gpus: int, num_slots: in
     with database.read() as connection:
         queue = QueueOrder(connection, load, free_gpus)
         while len(found) < num_slots and (job := queue.next(connection, free_gpus)) is not None:
-            found.append(job["id"])
-            free_gpus -= job["gpus"]
-            load[job["tenant_id"]] += 1
+            found.append(job.id)
+            free_gpus -= job.gpus
+            load[job.tenant_id] += 1
     return found
 
 

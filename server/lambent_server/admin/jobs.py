@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from sqlalchemy import Connection
@@ -22,6 +22,8 @@ from lambent_server.admin.opened import (
 from lambent_server.api.problems import Problem
 from lambent_server.cli import DatabaseOption, DataOption
 from lambent_server.core.clock import now, rfc3339
+from lambent_server.database.model import JobRow
+from lambent_server.database.rows import many
 from lambent_server.database.schema import job_labels
 from lambent_server.database.schema import jobs as job_table
 from lambent_server.database.tenancy import across_tenants
@@ -31,7 +33,7 @@ from lambent_server.renders import rows as render_rows
 from lambent_server.services import Services
 
 LIMIT = 10_000
-Act = Callable[[Connection, dict[str, Any], Services], None]
+Act = Callable[[Connection, JobRow, Services], None]
 _SHOWN = ("id", "tenant_id", "state", "kind", "priority", "run", "labels")
 _COLUMNS = ("id", "tenant_id", "state", "kind", "priority", "run", "created_at", "error")
 
@@ -89,45 +91,43 @@ def jobs(
     statement = across_tenants(job_table).where(*conditions).order_by(job_table.c.id).limit(LIMIT)
     with opened(data, database) as services:
         with services.database.read() as connection:
-            rows = [dict(row) for row in connection.execute(statement).mappings()]
-        rows = [row for row in rows if not code or (row["error"] or {}).get("code") == code]
+            rows = many(connection, statement, JobRow)
+        rows = [row for row in rows if not code or (row.error or {}).get("code") == code]
         if action is JobAction.CANCEL:
-            rows = [row for row in rows if row["state"] not in FINAL]
+            rows = [row for row in rows if row.state not in FINAL]
             _each(services, rows, _cancel, "cancelled", yes=yes, as_json=as_json)
         elif action is JobAction.REQUEUE:
-            rows = [row for row in rows if row["state"] in (FAILED, CANCELLED)]
+            rows = [row for row in rows if row.state in (FAILED, CANCELLED)]
             _each(services, rows, _requeue, "queued again", yes=yes, as_json=as_json)
         else:
             _show(rows, as_json)
 
 
-def _show(rows: list[dict[str, Any]], as_json: bool) -> None:
+def _show(rows: list[JobRow], as_json: bool) -> None:
     shown = [
         {
-            **{name: row[name] for name in _SHOWN},
-            "created_at": rfc3339(row["created_at"]),
-            "error": (row["error"] or {}).get("code", ""),
+            **{name: getattr(row, name) for name in _SHOWN},
+            "created_at": rfc3339(row.created_at),
+            "error": (row.error or {}).get("code", ""),
         }
         for row in rows
     ]
     print_rows(shown, _COLUMNS, as_json)
 
 
-def _cancel(connection: Connection, job: dict[str, Any], _services: Services) -> None:
-    current = job_queries.require_job(connection, owner(job), job["id"], lock=True)
+def _cancel(connection: Connection, job: JobRow, _services: Services) -> None:
+    current = job_queries.require_job(connection, owner(job), job.id, lock=True)
     job_queries.cancel(connection, current)
-    audit.record(connection, operator(owner(job)), "jobs cancel", job["id"])
+    audit.record(connection, operator(owner(job)), "jobs cancel", job.id)
 
 
-def _requeue(connection: Connection, job: dict[str, Any], services: Services) -> None:
-    again = job_queries.submit_again if job["order_id"] is None else render_rows.queue_again
+def _requeue(connection: Connection, job: JobRow, services: Services) -> None:
+    again = job_queries.submit_again if job.order_id is None else render_rows.queue_again
     made = again(connection, owner(job), job, services)
-    audit.record(connection, operator(owner(job)), "jobs requeue", job["id"], details={"job": made["id"]})
+    audit.record(connection, operator(owner(job)), "jobs requeue", job.id, details={"job": made.id})
 
 
-def _each(
-    services: Services, rows: list[dict[str, Any]], act: Act, done: str, *, yes: bool, as_json: bool
-) -> None:
+def _each(services: Services, rows: list[JobRow], act: Act, done: str, *, yes: bool, as_json: bool) -> None:
     """Do it to every job, or show which; exit code 4 when one was refused."""
     if not yes:
         _show(rows, as_json)
@@ -140,8 +140,8 @@ def _each(
                 act(connection, row, services)
         except Problem as problem:
             refused += 1
-            typer.echo(f"{row['id']}: {problem.code}: {problem.detail}", err=True)
+            typer.echo(f"{row.id}: {problem.code}: {problem.detail}", err=True)
             continue
-        typer.echo(json.dumps({"id": row["id"], "done": done}) if as_json else f"{row['id']} {done}")
+        typer.echo(json.dumps({"id": row.id, "done": done}) if as_json else f"{row.id} {done}")
     if refused:
         raise typer.Exit(4)

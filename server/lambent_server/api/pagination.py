@@ -11,6 +11,7 @@ from sqlalchemy import Column, ColumnElement, Connection, Select, Table, tuple_
 
 from lambent_server.api.outside_text import parse_json
 from lambent_server.api.problems import Problem, invalid
+from lambent_server.database.rows import Kind
 from lambent_server.database.tenancy import Tenant, rows
 
 Cursor = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,2000}$")]
@@ -127,17 +128,20 @@ def select_newest(
             statement = statement.where(table.c.id < last)
         return statement.order_by(table.c.id.desc()).limit(num_rows)
 
-    return read_page(connection, select_after, page)
+    return read_page(connection, select_after, page, dict)
 
 
 def read_page(
-    connection: Connection, select_after: Callable[[str | None, int], Select[Any]], page: PageFilter
-) -> tuple[list[Row], str | None]:
+    connection: Connection,
+    select_after: Callable[[str | None, int], Select[Any]],
+    page: PageFilter,
+    kind: Callable[..., Kind],
+) -> tuple[list[Kind], str | None]:
     """Return a page of a query, and the cursor of the next one.
 
     `select_after` makes the query of so many rows after the row with an id.
     """
     statement = select_after(None if page.cursor is None else _id_of(page.cursor), page.limit + 1)
-    found = [dict(row) for row in connection.execute(statement).mappings()]
-    more = len(found) > page.limit
-    return found[: page.limit], _cursor(found[page.limit - 1]["id"]) if more else None
+    found = connection.execute(statement).mappings().all()
+    cursor = _cursor(found[page.limit - 1]["id"]) if len(found) > page.limit else None
+    return [kind(**row) for row in found[: page.limit]], cursor

@@ -75,14 +75,17 @@ def add_if_absent(connection: Connection, tenant: Tenant, table: Table, **values
 def find(
     connection: Connection, tenant: Tenant, table: Table, identifier: str, *, lock: bool = False
 ) -> RowMapping | None:
-    """Return the row of `tenant` with this id, or None, also for rows of other tenants.
+    """Return the row of `tenant` with this id, or None, also for rows of other tenants."""
+    return connection.execute(by_id(tenant, table, identifier, lock=lock)).mappings().one_or_none()
+
+
+def by_id(tenant: Tenant, table: Table, identifier: str, *, lock: bool = False) -> Select[Any]:
+    """Return a SELECT of the row of `tenant` with this id.
 
     With `lock`, no other transaction can change it before this one ends.
     """
     statement = rows(tenant, table).where(table.c.id == identifier)
-    if lock:
-        statement = statement.with_for_update()
-    return connection.execute(statement).mappings().one_or_none()
+    return statement.with_for_update() if lock else statement
 
 
 def across_tenants(table: Table, *columns: Any) -> Select[Any]:

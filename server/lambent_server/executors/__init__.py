@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeGuard
 
 from lambent_server.core.settings import Settings
 
@@ -13,7 +13,7 @@ from lambent_server.core.settings import Settings
 Handle = dict[str, Any]
 
 
-def is_placed(handle: Handle | None) -> bool:
+def is_placed(handle: Handle | None) -> TypeGuard[Handle]:
     """Return whether a handle is that of a run that was started, and leads to its process."""
     return handle is not None and "run" in handle
 

@@ -21,6 +21,8 @@ from lambent_server.api.problems import invalid, not_found
 from lambent_server.api.resources import ResourceRoute
 from lambent_server.core.clock import now
 from lambent_server.core.metrics import OPEN_STREAMS
+from lambent_server.database.model import JobRow
+from lambent_server.database.rows import many
 from lambent_server.database.schema import events, jobs
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.http.common import ServicesOf, TenantOf, problems
@@ -141,11 +143,11 @@ class _Stream:
         with self._services.database.read() as connection:
             unknown = self._names - set(self._known)
             statement = rows(self._tenant, jobs).where(jobs.c.id.in_(sorted(unknown)))
-            found = list(connection.execute(statement).mappings()) if unknown else []
+            found = many(connection, statement, JobRow) if unknown else []
             known = self._names & set(self._known) if self._names else frozenset(self._known)
             statement = rows(self._tenant, jobs, jobs.c.id, jobs.c.event_seq)
             seqs = dict(connection.execute(statement.where(jobs.c.id.in_(sorted(known)))).all())  # type: ignore[arg-type]
-            if missing := self._names - {job["id"] for job in found} - set(seqs):
+            if missing := self._names - {job.id for job in found} - set(seqs):
                 raise not_found("job", min(missing))
             # First, so that every message says where the client is in all of them.
             for job_id, seq in seqs.items():

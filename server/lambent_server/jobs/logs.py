@@ -18,6 +18,8 @@ from lambent_server.api.problems import Problem
 from lambent_server.cluster.membership import Membership
 from lambent_server.core.clock import now
 from lambent_server.database.cluster_schema import run_log_pieces, run_logs, servers
+from lambent_server.database.model import JobRow
+from lambent_server.database.rows import many
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import Tenant, across_tenants, add_if_absent, remove, rows
 from lambent_server.jobs.rows import is_observed
@@ -139,16 +141,16 @@ class LogCopier:
         began = now()
         with self._services.database.read() as connection:
             going_on = {
-                (job["id"], job["run"]): job
-                for job in connection.execute(across_tenants(jobs).where(is_observed())).mappings()
+                (job.id, job.run): job
+                for job in many(connection, across_tenants(jobs).where(is_observed()), JobRow)
             }
             ended = self._with_pieces(connection, run_log_pieces.c.server_id == self._membership.id)
             ended |= self._ended_lately(connection)
             if self._membership.leads:
                 ended |= self._left(connection)
         for job in going_on.values():
-            if (job["handle"] or {}).get("server") == self._membership.id:
-                self._copy(Tenant(job["tenant_id"]), job["id"], job["run"])
+            if (job.handle or {}).get("server") == self._membership.id:
+                self._copy(Tenant(job.tenant_id), job.id, job.run)
         for job_id, run, tenant_id in ended:
             if (job_id, run) not in going_on:
                 self._put_away(Tenant(tenant_id), job_id, run)

@@ -9,6 +9,7 @@ from sqlalchemy import ColumnElement, Connection, or_
 from lambent_server.core.clock import JUMP_S, now
 from lambent_server.core.metrics import RUNS_FAILED, RUNS_LOST
 from lambent_server.core.settings import Settings
+from lambent_server.database.model import JobRow
 from lambent_server.database.schema import jobs
 from lambent_server.executors import Gone
 from lambent_server.jobs.rows import (
@@ -19,7 +20,6 @@ from lambent_server.jobs.rows import (
     RETRY_WAIT,
     RUNNING,
     SUCCEEDED,
-    Job,
     move,
     set_fields,
 )
@@ -42,40 +42,40 @@ _HOPELESS = frozenset({"bad_scene", "bad_config"})
 _ADJUSTED = {"gpu_out_of_memory": ("ray_chunk", 0.5), "diverged": ("learning_rate", 0.3)}
 
 
-def _error(failure: Failure, job: Job) -> dict[str, Any]:
+def _error(failure: Failure, job: JobRow) -> dict[str, Any]:
     return {
         "code": failure.code,
         "message": failure.message,
         "cause": failure.cause,
-        "run": job["run"],
+        "run": job.run,
     }
 
 
-def succeed(connection: Connection, job: Job, **values: Any) -> bool:
+def succeed(connection: Connection, job: JobRow, **values: Any) -> bool:
     """Complete the job successfully."""
     return move(connection, job, SUCCEEDED, error=None, **values)
 
 
-def settle_cancel(connection: Connection, job: Job) -> bool:
+def settle_cancel(connection: Connection, job: JobRow) -> bool:
     """Complete the cancellation of a job that has no process any more."""
     return move(connection, job, CANCELLED, "cancelled", stop_reason=None)
 
 
-def requeue(connection: Connection, job: Job, message: str, **values: Any) -> bool:
+def requeue(connection: Connection, job: JobRow, message: str, **values: Any) -> bool:
     """Queue the job to restart at once, without counting a failure."""
     return move(connection, job, QUEUED, message, stop_reason=None, **values)
 
 
-def fail(connection: Connection, job: Job, failure: Failure, settings: Settings) -> bool:
+def fail(connection: Connection, job: JobRow, failure: Failure, settings: Settings) -> bool:
     """Retry the job after a failure of its own, or fail it; a job being cancelled just ends."""
     RUNS_FAILED.labels(failure.cause).inc()
-    failures = job["failures"] + 1
+    failures = job.failures + 1
     # By stage, factors by setting.
-    adjustments: dict[str, dict[str, float]] = dict(job["adjustments"])
+    adjustments: dict[str, dict[str, float]] = dict(job.adjustments)
     give_up = failure.cause in _HOPELESS or failures >= settings.max_failures
     if failure.cause in _ADJUSTED:
         name, factor = _ADJUSTED[failure.cause]
-        stage = (job["progress"] or {}).get("stage", "")
+        stage = (job.progress or {}).get("stage", "")
         own = adjustments.get(stage, {})
         give_up = give_up or name in own
         adjustments |= {stage: own | {name: factor}}
@@ -94,7 +94,7 @@ def fail(connection: Connection, job: Job, failure: Failure, settings: Settings)
     )
 
 
-def wait_for_room(connection: Connection, job: Job, why: str, settings: Settings) -> bool:
+def wait_for_room(connection: Connection, job: JobRow, why: str, settings: Settings) -> bool:
     """Send a job back to the queue that could not be placed, after a pause and without counting anything."""
     wait_s = settings.place_retry_s
     message = f"not placed: {why}; back in the queue in {wait_s:g} s"
@@ -110,11 +110,11 @@ def is_due(settings: Settings, at: float) -> ColumnElement[bool]:
     return or_(jobs.c.retry_at <= at, jobs.c.retry_at > at + longest_s + JUMP_S)
 
 
-def lose(connection: Connection, job: Job, how: str, settings: Settings) -> bool:
+def lose(connection: Connection, job: JobRow, how: str, settings: Settings) -> bool:
     """Restart a job whose machine or process was lost, unless that has happened too often."""
     RUNS_LOST.inc()
-    losses = job["losses"] + 1
-    barren = job["losses_without_checkpoint"] + 1
+    losses = job.losses + 1
+    barren = job.losses_without_checkpoint + 1
     common: dict[str, Any] = {"losses": losses, "losses_without_checkpoint": barren}
     if losses > settings.max_losses:
         failure = Failure("lost", "run_lost", f"lost {losses} runs, the last because {how}")
@@ -129,21 +129,21 @@ def lose(connection: Connection, job: Job, how: str, settings: Settings) -> bool
     )
 
 
-def judge(connection: Connection, job: Job, gone: Gone, settings: Settings) -> bool:
+def judge(connection: Connection, job: JobRow, gone: Gone, settings: Settings) -> bool:
     """Move on the job of a run that has ended without saying how; return whether anything changed."""
     set_fields(connection, job, handle=None)
-    if job["state"] == CANCELLING:
+    if job.state == CANCELLING:
         return settle_cancel(connection, job)
-    if job["state"] != RUNNING:
+    if job.state != RUNNING:
         return True
     if gone.not_placed:
         return wait_for_room(connection, job, gone.not_placed, settings)
-    if job["stop_reason"] == "stall":
+    if job.stop_reason == "stall":
         message = "no step was done for too long; see the log"
         return fail(connection, job, Failure("stalled", "run_stalled", message), settings)
     if gone.exit_code is not None and gone.exit_code > 0:
         message = f"the run process ended with code {gone.exit_code}; see the log"
         return fail(connection, job, Failure("internal", "run_crashed", message), settings)
     how = "the process is gone" if not gone.exit_code else f"signal {-gone.exit_code}"
-    log.warning("run_lost", job=job["id"], run=job["run"], how=how)
+    log.warning("run_lost", job=job.id, run=job.run, how=how)
     return lose(connection, job, how, settings)

@@ -5,10 +5,11 @@ from typing import Any
 
 from sqlalchemy import Connection
 
+from lambent_server.database.model import JobRow
 from lambent_server.database.schema import checkpoints, jobs
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.jobs.checkpoints import drop_checkpoint, drop_where
-from lambent_server.jobs.rows import Job, is_unfinished
+from lambent_server.jobs.rows import is_unfinished
 
 KEPT_CHECKPOINTS = 2
 KEPT_WITH_SCENE = frozenset({"cameras", "masks"})
@@ -21,25 +22,25 @@ BY_NUMBER = (checkpoints.c.number, checkpoints.c.id)
 Row = Mapping[str, Any]
 
 
-def scene_of_checkpoint(job: Job, stage: str) -> str | None:
+def scene_of_checkpoint(job: JobRow, stage: str) -> str | None:
     """Return the scene that a job's checkpoint of `stage` is kept with, or None if it is the job's own."""
-    return job["scene_id"] if stage in KEPT_WITH_SCENE and job["kind"] in PREPARES else None
+    return job.scene_id if stage in KEPT_WITH_SCENE and job.kind in PREPARES else None
 
 
-def offered_checkpoints(connection: Connection, tenant: Tenant, job: Job) -> list[Row]:
+def offered_checkpoints(connection: Connection, tenant: Tenant, job: JobRow) -> list[Row]:
     """Return the checkpoints that a run of the job may go on from, oldest first.
 
     Those of the job, and of each stage that is kept with the scene the newest one of an earlier job, unless
     this one has one of its own. The run finds out whether they fit its settings.
     """
-    mine = checkpoints.c.job_id == job["id"]
-    if job["kind"] in PREPARES:
-        mine |= checkpoints.c.scene_id == job["scene_id"]
+    mine = checkpoints.c.job_id == job.id
+    if job.kind in PREPARES:
+        mine |= checkpoints.c.scene_id == job.scene_id
     found = connection.execute(rows(tenant, checkpoints).where(mine).order_by(*BY_NUMBER)).mappings()
     own: list[Row] = []
     kept: dict[str, Row] = {}
     for row in map(dict, found):
-        if row["job_id"] == job["id"]:
+        if row["job_id"] == job.id:
             own.append(row)
         else:
             kept[row["stage"]] = row
@@ -47,9 +48,9 @@ def offered_checkpoints(connection: Connection, tenant: Tenant, job: Job) -> lis
     return [row for stage, row in kept.items() if stage not in stages] + own
 
 
-def drop_superseded(connection: Connection, tenant: Tenant, job: Job, newest: str, stage: str) -> None:
+def drop_superseded(connection: Connection, tenant: Tenant, job: JobRow, newest: str, stage: str) -> None:
     """Delete the checkpoints that no later run would use, now that the job has one more, `newest`."""
-    own = rows(tenant, checkpoints).where(checkpoints.c.job_id == job["id"], checkpoints.c.scene_id.is_(None))
+    own = rows(tenant, checkpoints).where(checkpoints.c.job_id == job.id, checkpoints.c.scene_id.is_(None))
     newest_of_stage: set[str] = set()
     kept = connection.execute(own.order_by(*(column.desc() for column in BY_NUMBER))).mappings().all()
     for place, row in enumerate(kept):
@@ -59,7 +60,7 @@ def drop_superseded(connection: Connection, tenant: Tenant, job: Job, newest: st
     scene_id = scene_of_checkpoint(job, stage)
     if scene_id is not None:
         # An unfinished job with other settings may still need its own.
-        going_on = rows(tenant, jobs, jobs.c.id).where(jobs.c.id != job["id"], is_unfinished())
+        going_on = rows(tenant, jobs, jobs.c.id).where(jobs.c.id != job.id, is_unfinished())
         drop_where(
             connection,
             tenant,

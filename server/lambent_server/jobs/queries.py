@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Select
 
 from lambent_server.accounts import quotas
-from lambent_server.accounts.makers import columns_of, maker_of
+from lambent_server.accounts.makers import columns_of
 from lambent_server.accounts.who import NOBODY, Maker
 from lambent_server.api import labels as label_rows
 from lambent_server.api.change_messages import JobChange
@@ -21,8 +21,10 @@ from lambent_server.api.problems import Detail, Problem, conflict, invalid, not_
 from lambent_server.cluster.membership import most_gpus
 from lambent_server.core.clock import new_id, now, rfc3339
 from lambent_server.core.settings import Settings
+from lambent_server.database.model import JobRow
+from lambent_server.database.rows import one
 from lambent_server.database.schema import job_labels, jobs, scenes
-from lambent_server.database.tenancy import Tenant, add, find, rows
+from lambent_server.database.tenancy import Tenant, add, by_id, find, rows
 from lambent_server.jobs import bakes as bake_rows
 from lambent_server.jobs import counts as job_counts
 from lambent_server.jobs.pages import Wanted, page
@@ -46,8 +48,6 @@ from lambent_server.storage.store import blob_url
 from lambent_server.webhooks.outbox import tell
 from lambent_server.webhooks.rows import check_url
 
-Row = dict[str, Any]
-
 LEAST_RESERVED_S = 60.0
 """GPU time that a job counts until it has ended, if its preset has no time budget."""
 
@@ -69,38 +69,38 @@ def require_preset(name: str) -> Preset:
     return known[name]
 
 
-def require_job(connection: Connection, tenant: Tenant, job_id: str, *, lock: bool = False) -> Row:
+def require_job(connection: Connection, tenant: Tenant, job_id: str, *, lock: bool = False) -> JobRow:
     """Return the job's row."""
-    row = find(connection, tenant, jobs, job_id, lock=lock)
-    if row is None:
+    job = one(connection, by_id(tenant, jobs, job_id, lock=lock), JobRow)
+    if job is None:
         raise not_found("job", job_id)
-    return dict(row)
+    return job
 
 
 def _time(at: float | None) -> str | None:
     return None if at is None else rfc3339(at)
 
 
-def show(connection: Connection, tenant: Tenant, row: Any) -> Job:
+def show(connection: Connection, tenant: Tenant, row: JobRow) -> Job:
     """Return the job in the form of the REST interface."""
     return show_all(connection, tenant, [row])[0]
 
 
-def show_all(connection: Connection, tenant: Tenant, found: Sequence[Any]) -> list[Job]:
+def show_all(connection: Connection, tenant: Tenant, found: Sequence[JobRow]) -> list[Job]:
     """Return jobs in the form of the REST interface; their scenes and bundles are looked up together."""
-    wanted = {row["scene_id"] for row in found}
+    wanted = {row.scene_id for row in found}
     columns = (scenes.c.id, scenes.c.name, scenes.c.thumbnail_sha256)
     known = connection.execute(rows(tenant, scenes, *columns).where(scenes.c.id.in_(wanted))).mappings()
     by_id = {scene["id"]: scene for scene in known}
-    results = [row["bundle_id"] for row in found if row["bundle_id"]]
+    results = [row.bundle_id for row in found if row.bundle_id]
     made = thumbnail_urls(connection, tenant, results) if results else {}
-    return [_show(row, by_id.get(row["scene_id"]), made.get(row["bundle_id"])) for row in found]
+    return [_show(row, by_id.get(row.scene_id), made.get(row.bundle_id or "")) for row in found]
 
 
-def _show(row: Any, scene: Any, result_url: str | None) -> Job:
+def _show(row: JobRow, scene: Any, result_url: str | None) -> Job:
     return Job(
         **{
-            name: row[name]
+            name: getattr(row, name)
             for name in [
                 "id",
                 "kind",
@@ -120,13 +120,13 @@ def _show(row: Any, scene: Any, result_url: str | None) -> Job:
             ]
         },
         scene_name="" if scene is None else scene["name"],
-        batch_id=row["order_id"] if row["kind"] == "batch" else None,
-        thumbnail_url=result_url or blob_url(row["preview_sha256"] or (scene and scene["thumbnail_sha256"])),
-        created_at=rfc3339(row["created_at"]),
-        started_at=_time(row["started_at"]),
-        finished_at=_time(row["finished_at"]),
-        retry_at=_time(row["retry_at"]),
-        last_event=row["event_seq"],
+        batch_id=row.order_id if row.kind == "batch" else None,
+        thumbnail_url=result_url or blob_url(row.preview_sha256 or (scene and scene["thumbnail_sha256"])),
+        created_at=rfc3339(row.created_at),
+        started_at=_time(row.started_at),
+        finished_at=_time(row.finished_at),
+        retry_at=_time(row.retry_at),
+        last_event=row.event_seq,
     )
 
 
@@ -136,10 +136,10 @@ def show_event(row: Any) -> Event:
     return Event(at=rfc3339(row["at"]), **{name: row[name] for name in names})
 
 
-def order_of(row: Row) -> NewJob:
+def order_of(row: JobRow) -> NewJob:
     """Return the request with which the job was submitted."""
     names = ["scene_id", "preset", "params", "gpus", "priority", "labels", "kind", "seed", "webhook"]
-    return NewJob(**{name: row[name] for name in names})
+    return NewJob(**{name: getattr(row, name) for name in names})
 
 
 def submit_once(
@@ -150,7 +150,7 @@ def submit_once(
     key: str | None,
     digest: str,
     maker: Maker = NOBODY,
-) -> Row:
+) -> JobRow:
     """Add a job to the queue, or return the one that was submitted earlier with this key."""
     job_id = new_id("job")
     known = made_before(connection, tenant, key, digest, job_id)
@@ -170,7 +170,7 @@ def submit(
     services: Services,
     job_id: str | None = None,
     maker: Maker = NOBODY,
-) -> Row:
+) -> JobRow:
     """Add a job to the queue; raises the problem if it cannot be accepted."""
     gpus = _check_order(connection, order, services)
     scene = find(connection, tenant, scenes, order.scene_id)
@@ -226,9 +226,15 @@ def check_priority(priority: int, settings: Settings) -> None:
         raise invalid("priority_too_high", "#/priority", message)
 
 
-def submit_again(connection: Connection, tenant: Tenant, job: Row, services: Services) -> Row:
+def submit_again(connection: Connection, tenant: Tenant, job: JobRow, services: Services) -> JobRow:
     """Add a job with the request of another one; its webhook stays that of whoever asked for the first."""
-    return submit(connection, tenant, order_of(job), services, maker=maker_of(job))
+    return submit(
+        connection,
+        tenant,
+        order_of(job),
+        services,
+        maker=Maker(user_id=job.maker_user_id, key_id=job.maker_key_id),
+    )
 
 
 def num_unfinished(connection: Connection, tenant: Tenant) -> int:
@@ -267,7 +273,7 @@ def insert_job(
     *,
     labels: dict[str, str],
     **values: Any,
-) -> Row:
+) -> JobRow:
     """Add a row to the queue; `values` are its other columns."""
     identifier = job_id or new_id("job")
     common = {"state": QUEUED, "created_at": now(), "updated_at": now(), "adjustments": {}}
@@ -280,29 +286,27 @@ def insert_job(
 
 
 def change_job(
-    connection: Connection, tenant: Tenant, job: Row, order: JobChange, settings: Settings
+    connection: Connection, tenant: Tenant, job: JobRow, order: JobChange, settings: Settings
 ) -> None:
     """Change labels or priority of a job; the caller holds its row."""
     values: dict[str, Any] = {}
-    if order.priority is not None and order.priority != job["priority"]:
-        if job["state"] not in (QUEUED, RETRY_WAIT):
-            raise conflict(
-                "job_not_waiting", f"job {job['id']} is {job['state']}; only waiting jobs have a turn"
-            )
+    if order.priority is not None and order.priority != job.priority:
+        if job.state not in (QUEUED, RETRY_WAIT):
+            raise conflict("job_not_waiting", f"job {job.id} is {job.state}; only waiting jobs have a turn")
         check_priority(order.priority, settings)
         values["priority"] = order.priority
     if order.labels is not None:
-        values["labels"] = label_rows.merged(job["labels"], order.labels)
-        label_rows.store(connection, tenant, job["id"], values["labels"], job_labels)
+        values["labels"] = label_rows.merged(job.labels, order.labels)
+        label_rows.store(connection, tenant, job.id, values["labels"], job_labels)
     if values:
         set_fields(connection, job, **values)
 
 
-def cancel(connection: Connection, job: Row) -> None:
+def cancel(connection: Connection, job: JobRow) -> None:
     """Request the cancellation of a job; does nothing if it has ended."""
-    if job["state"] in (QUEUED, RETRY_WAIT):
+    if job.state in (QUEUED, RETRY_WAIT):
         move(connection, job, CANCELLED, "cancelled before it started")
-    elif job["state"] == RUNNING:
+    elif job.state == RUNNING:
         move(connection, job, CANCELLING, "cancel asked for", stop_reason="cancel", stop_at=None)
 
 
@@ -339,10 +343,10 @@ def select_page(
     given: PageFilter,
     *,
     oldest_first: bool = False,
-) -> tuple[list[Row], str | None]:
+) -> tuple[list[JobRow], str | None]:
     """Return a page of jobs, newest or oldest first, and the cursor of the next one."""
 
     def select_after(after: str | None, num_rows: int) -> Select[Any]:
         return page(connection, tenant, wanted, after=after, oldest_first=oldest_first, num_rows=num_rows)
 
-    return read_page(connection, select_after, given)
+    return read_page(connection, select_after, given, JobRow)

@@ -24,6 +24,7 @@ from lambent_server.database.schema import (
 from lambent_server.database.tenancy import Tenant, change, find, remove, rows
 from lambent_server.jobs.checkpoints import drop_checkpoints
 from lambent_server.jobs.logs import forget as forget_logs
+from lambent_server.jobs.queries import require_job
 from lambent_server.jobs.rows import FINAL, is_unfinished
 from lambent_server.storage.garbage import discard
 from lambent_server.webhooks.rows import forget_job
@@ -31,9 +32,9 @@ from lambent_server.webhooks.rows import forget_job
 
 def delete_job(connection: Connection, tenant: Tenant, job_id: str) -> None:
     """Delete a job that has ended, with its history, artifacts and log; its bundle stays."""
-    job = _require(connection, tenant, jobs, "job", job_id)
-    if job["state"] not in FINAL or job["handle"] is not None:
-        raise conflict("job_in_use", f"job {job_id} is {job['state']}; cancel it and wait until it has ended")
+    job = require_job(connection, tenant, job_id, lock=True)
+    if job.state not in FINAL or job.handle is not None:
+        raise conflict("job_in_use", f"job {job_id} is {job.state}; cancel it and wait until it has ended")
     drop_checkpoints(connection, tenant, job_id)
     for table in (events, artifacts):
         _forget(connection, tenant, table, job_id=job_id)
@@ -42,7 +43,7 @@ def delete_job(connection: Connection, tenant: Tenant, job_id: str) -> None:
         connection.execute(remove(tenant, table).filter_by(job_id=job_id))
     forget_job(connection, tenant, job_id)
     connection.execute(remove(tenant, jobs).filter_by(id=job_id))
-    order_id = job["order_id"]
+    order_id = job.order_id
     if order_id and connection.execute(rows(tenant, jobs).filter_by(order_id=order_id)).first() is None:
         connection.execute(remove(tenant, idempotency_keys).filter_by(job_id=order_id))
         connection.execute(remove(tenant, render_orders).filter_by(id=order_id))

@@ -181,8 +181,8 @@ def cancel_job(services: ServicesOf, tenant: TenantOf, who: WhoOf, job_id: Id) -
     """Cancel a job; it is `cancelled` once its process is gone."""
     with services.database.write() as connection:
         job = job_queries.require_job(connection, tenant, job_id, lock=True)
-        if job["state"] in (SUCCEEDED, FAILED):
-            raise conflict("job_final", f"job {job_id} has {job['state']}; that is final")
+        if job.state in (SUCCEEDED, FAILED):
+            raise conflict("job_final", f"job {job_id} has {job.state}; that is final")
         job_queries.cancel(connection, job)
         shown = job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, job_id))
         audit.record(connection, who, "cancel_job", job_id)

@@ -1,7 +1,7 @@
 """Database rows of jobs and their history; the only module that changes a job's state."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, FromClause, RowMapping, and_, insert, literal_column, or_
@@ -9,6 +9,7 @@ from sqlalchemy import ColumnElement, Connection, FromClause, RowMapping, and_, 
 from lambent_server.accounts.usage import add_gpu_time
 from lambent_server.core.clock import now
 from lambent_server.database.announcing import announce
+from lambent_server.database.model import JobRow
 from lambent_server.database.schema import events, jobs
 from lambent_server.database.tenancy import Tenant, change, rows
 from lambent_server.jobs.checkpoints import drop_checkpoints
@@ -26,8 +27,6 @@ UNFINISHED = (QUEUED, RUNNING, CANCELLING, RETRY_WAIT)
 HAS_RUN = frozenset({RUNNING, CANCELLING})
 ENDED = "ended"
 """The reason to stop of a cancelled job whose run has said that it ends."""
-
-Job = Mapping[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -64,24 +63,24 @@ def is_startable(table: FromClause = jobs) -> ColumnElement[bool]:
     return and_(in_state(QUEUED, table=table), table.c.handle.is_(None))
 
 
-def owner(job: Job) -> Tenant:
+def owner(job: JobRow) -> Tenant:
     """Return the tenant of the job."""
-    return Tenant(job["tenant_id"])
+    return Tenant(job.tenant_id)
 
 
-def append_event(connection: Connection, job: Job, event: NewEvent) -> int:
+def append_event(connection: Connection, job: JobRow, event: NewEvent) -> int:
     """Append an event to the job's history and return its number; numbers have no gaps."""
     return append_events(connection, job, [event])
 
 
-def append_events(connection: Connection, job: Job, new: Sequence[NewEvent]) -> int:
+def append_events(connection: Connection, job: JobRow, new: Sequence[NewEvent]) -> int:
     """Append events to the job's history, in two statements however many they are.
 
     Returns the number of the last one.
     """
     statement = (
         change(owner(job), jobs)
-        .where(jobs.c.id == job["id"])
+        .where(jobs.c.id == job.id)
         .values(event_seq=jobs.c.event_seq + len(new), updated_at=now())
         .returning(jobs.c.event_seq)
     )
@@ -92,11 +91,11 @@ def append_events(connection: Connection, job: Job, new: Sequence[NewEvent]) -> 
     values = [
         {
             "tenant_id": tenant.id,
-            "job_id": job["id"],
+            "job_id": job.id,
             "seq": seq,
             "at": now(),
             "type": event.type,
-            "run": event.run or job["run"],
+            "run": event.run or job.run,
             "state": event.state,
             "progress": event.progress,
             "message": event.message,
@@ -110,33 +109,31 @@ def append_events(connection: Connection, job: Job, new: Sequence[NewEvent]) -> 
     return last
 
 
-def set_fields(connection: Connection, job: Job, **values: Any) -> None:
+def set_fields(connection: Connection, job: JobRow, **values: Any) -> None:
     """Update columns of the job."""
-    connection.execute(
-        change(owner(job), jobs).where(jobs.c.id == job["id"]).values(updated_at=now(), **values)
-    )
+    connection.execute(change(owner(job), jobs).where(jobs.c.id == job.id).values(updated_at=now(), **values))
 
 
-def move(connection: Connection, job: Job, state: str, message: str = "", **values: Any) -> bool:
+def move(connection: Connection, job: JobRow, state: str, message: str = "", **values: Any) -> bool:
     """Change the job's state and record it; return False if its state has been changed meanwhile."""
     if state in FINAL:
         values |= {"finished_at": now(), "retry_at": None}
     statement = (
         change(owner(job), jobs)
-        .where(jobs.c.id == job["id"], jobs.c.state == job["state"], jobs.c.run == job["run"])
+        .where(jobs.c.id == job.id, jobs.c.state == job.state, jobs.c.run == job.run)
         .values(state=state, updated_at=now(), **values)
         .returning(jobs.c.gpus, jobs.c.run_started_at)
     )
     moved = connection.execute(statement).first()
     if moved is None:
         return False
-    if moved.gpus and job["state"] in HAS_RUN and state not in HAS_RUN:
+    if moved.gpus and job.state in HAS_RUN and state not in HAS_RUN:
         add_gpu_time(connection, owner(job), moved.gpus, moved.run_started_at, now())
     if state in FINAL:
-        drop_checkpoints(connection, owner(job), job["id"])
-    event = NewEvent(type="state", state=state, message=message, run=values.get("run") or job["run"])
+        drop_checkpoints(connection, owner(job), job.id)
+    event = NewEvent(type="state", state=state, message=message, run=values.get("run") or job.run)
     seq = append_event(connection, job, event)
-    tell(connection, {**job, **values}, state, seq)
+    tell(connection, replace(job, **values), state, seq)
     return True
 
 

@@ -70,7 +70,7 @@ def close(services: Services, who: Who) -> int:
         with services.database.write() as connection:
             job = require_job(connection, tenant, job_id, lock=True)
             # Of one that is being cancelled this waits for the end only.
-            if job["state"] not in (CANCELLING, *FINAL):
+            if job.state not in (CANCELLING, *FINAL):
                 cancel(connection, job)
                 audit.record(connection, who, "jobs cancel", job_id)
     with services.database.read() as connection:

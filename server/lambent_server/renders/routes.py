@@ -98,8 +98,8 @@ def cancel_batch(services: ServicesOf, tenant: TenantOf, who: WhoOf, batch_id: I
         row = render_rows.require_order(connection, tenant, batch_id, render_rows.BATCH, lock=True)
         states = set()
         for job in render_rows.newest_jobs(connection, tenant, row["id"]):
-            job = job_queries.require_job(connection, tenant, job["id"], lock=True)
-            states.add(job["state"])
+            job = job_queries.require_job(connection, tenant, job.id, lock=True)
+            states.add(job.state)
             job_queries.cancel(connection, job)
         if not states & {QUEUED, RETRY_WAIT, RUNNING, CANCELLING, CANCELLED}:
             raise conflict("batch_final", f"every job of batch {batch_id} has ended; that is final")
@@ -129,7 +129,7 @@ def list_batch_artifacts(
     """Return the files that the jobs of a batch have published, by name."""
     with services.database.read() as connection:
         row = render_rows.require_order(connection, tenant, batch_id, render_rows.BATCH)
-        identifiers = [job["id"] for job in render_rows.newest_jobs(connection, tenant, row["id"])]
+        identifiers = [job.id for job in render_rows.newest_jobs(connection, tenant, row["id"])]
         found, cursor = select_ordered(
             connection,
             rows(tenant, artifacts).where(artifacts.c.job_id.in_(identifiers)),

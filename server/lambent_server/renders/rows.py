@@ -11,6 +11,8 @@ from lambent_server.api.idempotency import made_before
 from lambent_server.api.problems import Detail, Problem, conflict, invalid, not_found
 from lambent_server.cluster.membership import total_slots
 from lambent_server.core.clock import new_id, now, rfc3339
+from lambent_server.database.model import JobRow
+from lambent_server.database.rows import many
 from lambent_server.database.schema import (
     bundle_files,
     bundles,
@@ -29,7 +31,6 @@ from lambent_server.jobs.rows import (
     FINAL,
     QUEUED,
     SUCCEEDED,
-    Job,
     is_unfinished,
 )
 from lambent_server.renders.messages import Batch, NewBatch
@@ -105,7 +106,7 @@ def _queue(
     shard: int,
     priority: int,
     labels: dict[str, str],
-) -> Row:
+) -> JobRow:
     return insert_job(
         connection,
         tenant,
@@ -122,29 +123,28 @@ def _queue(
     )
 
 
-def queue_again(connection: Connection, tenant: Tenant, job: Job, services: Services) -> Row:
+def queue_again(connection: Connection, tenant: Tenant, job: JobRow, services: Services) -> JobRow:
     """Queue a new job for the part of an order that `job` was to render."""
-    return _queue_parts(connection, tenant, job["order_id"], [job], services)[0]
+    return _queue_parts(connection, tenant, job.part[0], [job], services)[0]
 
 
 def _queue_parts(
-    connection: Connection, tenant: Tenant, order_id: str, parts: Sequence[Job], services: Services
-) -> list[Row]:
+    connection: Connection, tenant: Tenant, order_id: str, parts: Sequence[JobRow], services: Services
+) -> list[JobRow]:
     """Queue parts of an order again, and the summary job too if it has ended."""
     last = newest_jobs(connection, tenant, order_id)[-1]
     again = list(parts)
-    if last["state"] in FINAL and last["shard"] not in {job["shard"] for job in parts}:
+    if last.state in FINAL and last.shard not in {job.shard for job in parts}:
         again += [last] if is_summary(last, _num_shards(connection, tenant, order_id)) else []
     check_quota(connection, tenant, services, len(again))
     return [
-        _queue(connection, tenant, order_id, job["kind"], job["shard"], job["priority"], job["labels"])
-        for job in again
+        _queue(connection, tenant, order_id, job.kind, job.part[1], job.priority, job.labels) for job in again
     ]
 
 
-def is_summary(job: Job, num_shards: int) -> bool:
+def is_summary(job: JobRow, num_shards: int) -> bool:
     """Return whether a job is the summary, which only creates the table and contact sheet of all parts."""
-    return bool(job["shard"] == num_shards)
+    return job.shard == num_shards
 
 
 def _num_shards(connection: Connection, tenant: Tenant, order_id: str) -> int:
@@ -184,23 +184,24 @@ def require_order(
     return dict(row)
 
 
-def first_job(connection: Connection, tenant: Tenant, order_id: str) -> Row:
+def first_job(connection: Connection, tenant: Tenant, order_id: str) -> JobRow:
     """Return the job as which an order was first queued."""
     statement = rows(tenant, jobs).where(jobs.c.order_id == order_id).order_by(jobs.c.id).limit(1)
-    return dict(connection.execute(statement).mappings().one())
+    (job,) = many(connection, statement, JobRow)
+    return job
 
 
-def newest_jobs(connection: Connection, tenant: Tenant, order_id: str) -> list[Row]:
+def newest_jobs(connection: Connection, tenant: Tenant, order_id: str) -> list[JobRow]:
     """Return the newest job of every part of an order, by part; the summary comes last."""
     statement = rows(tenant, jobs).where(jobs.c.order_id == order_id).order_by(jobs.c.id)
-    found = {row["shard"]: dict(row) for row in connection.execute(statement).mappings()}
+    found = {job.part[1]: job for job in many(connection, statement, JobRow)}
     return [found[shard] for shard in sorted(found)]
 
 
 def show(connection: Connection, tenant: Tenant, row: Row) -> Batch:
     """Return a batch in the form of the REST interface."""
     found = newest_jobs(connection, tenant, row["id"])
-    identifiers = [job["id"] for job in found]
+    identifiers = [job.id for job in found]
     parts = [job for job in found if not is_summary(job, row["num_shards"])]
     failed = rows(tenant, events, func.count()).where(
         events.c.job_id.in_(identifiers), events.c.type == "finding"
@@ -208,10 +209,10 @@ def show(connection: Connection, tenant: Tenant, row: Row) -> Batch:
     return Batch(
         id=row["id"],
         name=row["name"],
-        state=_state([job["state"] for job in found]),
+        state=_state([job.state for job in found]),
         created_at=rfc3339(row["created_at"]),
         num_pictures=row["num_pictures"],
-        num_done=sum((job["progress"] or {}).get("step", 0) for job in parts),
+        num_done=sum((job.progress or {}).get("step", 0) for job in parts),
         num_failed=connection.execute(failed).scalar_one(),
         job_ids=identifiers,
     )
@@ -229,7 +230,7 @@ def _state(states: Sequence[str]) -> Any:
 
 def retry(connection: Connection, tenant: Tenant, row: Row, services: Services) -> None:
     """Queue every part of a batch that failed or was cancelled again."""
-    again = [job for job in newest_jobs(connection, tenant, row["id"]) if job["state"] in (FAILED, CANCELLED)]
+    again = [job for job in newest_jobs(connection, tenant, row["id"]) if job.state in (FAILED, CANCELLED)]
     if not again:
         raise conflict("batch_not_ended", f"no job of batch {row['id']} has failed or was cancelled")
     _queue_parts(connection, tenant, row["id"], again, services)

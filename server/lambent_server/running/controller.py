@@ -8,6 +8,7 @@ import shutil
 import threading
 import time
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import structlog
@@ -19,6 +20,8 @@ from lambent_server.cluster.server_state import DRAIN, Notices
 from lambent_server.core.clock import now
 from lambent_server.core.metrics import RUNS_STARTED
 from lambent_server.core.secrets import run_token
+from lambent_server.database.model import JobRow
+from lambent_server.database.rows import many, one
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.executors import (
@@ -39,7 +42,6 @@ from lambent_server.jobs.rows import (
     QUEUED,
     RETRY_WAIT,
     RUNNING,
-    Job,
     in_state,
     is_observed,
     move,
@@ -152,12 +154,12 @@ class Controller:
             self.turned_at = time.monotonic()
         for job in orphans:
             # The leader may have no part in the cluster of the run: every server that has takes runs over.
-            if is_placed(job["handle"]) and self._executor.adopt(job["handle"]):
+            if is_placed(job.handle) and self._executor.adopt(job.handle):
                 self._take_over(job)
             elif leads:
                 changed |= self._observe(job) if self._sees(job) else self._observe_from_afar(job)
             self.turned_at = time.monotonic()
-        for run in runs - {run_name(job["id"], job["run"]) for job in observed}:
+        for run in runs - {run_name(job.id, job.run) for job in observed}:
             self._executor.forget(run)
         due = (
             self._read(in_state(RETRY_WAIT), is_due(self._settings, now()), order=jobs.c.retry_at)
@@ -176,30 +178,30 @@ class Controller:
         if changed:
             self._services.wakeups.signal()
 
-    def _is_mine(self, job: Job) -> bool:
+    def _is_mine(self, job: JobRow) -> bool:
         """Return whether this server has started the run, in this life or an earlier one."""
         if self._members.is_alone:
             return True
-        return (job["handle"] or {}).get("server") == self._members.id
+        return (job.handle or {}).get("server") == self._members.id
 
-    def _is_orphan(self, job: Job) -> bool:
+    def _is_orphan(self, job: JobRow) -> bool:
         """Return whether the server that has started the run is dead."""
-        return not self._is_mine(job) and not self._members.is_alive((job["handle"] or {}).get("server", ""))
+        return not self._is_mine(job) and not self._members.is_alive((job.handle or {}).get("server", ""))
 
-    def _sees(self, job: Job) -> bool:
-        handle = job["handle"] or {}
+    def _sees(self, job: JobRow) -> bool:
+        handle = job.handle or {}
         return is_placed(handle) and self._executor.sees(handle)
 
-    def _read(self, *conditions: Any, order: Any = jobs.c.id) -> list[Job]:
+    def _read(self, *conditions: Any, order: Any = jobs.c.id) -> list[JobRow]:
         with self._services.database.read() as connection:
             statement = across_tenants(jobs).where(*conditions).order_by(order)
-            return [dict(row) for row in connection.execute(statement).mappings()]
+            return many(connection, statement, JobRow)
 
-    def _observe(self, job: Job) -> bool:
-        handle = job["handle"] or {}
+    def _observe(self, job: JobRow) -> bool:
+        handle = job.handle or {}
         placed = is_placed(handle)
         try:
-            has_reported = job["heartbeat_at"] is not None
+            has_reported = job.heartbeat_at is not None
             gone = self._executor.poll(handle, has_reported=has_reported) if placed else None
         except ExecutorAwayError:
             return self._observe_from_afar(job)
@@ -208,76 +210,76 @@ class Controller:
         if not placed:
             # Started by a server that ended before it stored the handle; a live run registers itself.
             return self.clocks.is_silent(job) and self._settle(job, Gone(None))
-        if job["state"] in FINAL or job["state"] in (QUEUED, RETRY_WAIT):
-            return self._end(job, asked=True)
-        if job["state"] == CANCELLING or job["stop_reason"] is not None:
-            return self._end(job, asked=job["stop_at"] is not None)
+        if job.state in FINAL or job.state in (QUEUED, RETRY_WAIT):
+            return self._end(job, handle, asked=True)
+        if job.state == CANCELLING or job.stop_reason is not None:
+            return self._end(job, handle, asked=job.stop_at is not None)
         if self.clocks.stall_s(job) and self._stop_stalled(job):
             self._executor.stop(handle, force=False)
         return False
 
-    def _observe_from_afar(self, job: Job) -> bool:
+    def _observe_from_afar(self, job: JobRow) -> bool:
         """Judge a run that cannot be seen by what it says itself: it is told to stop with its heartbeat.
 
         One that was cancelled and has said that it ends is taken at its word.
         """
-        if self.clocks.is_silent(job) or (job["state"] == CANCELLING and job["stop_reason"] == ENDED):
+        if self.clocks.is_silent(job) or (job.state == CANCELLING and job.stop_reason == ENDED):
             return self._settle(job, Gone(None))
-        if job["state"] == RUNNING and job["stop_reason"] is None and self.clocks.stall_s(job):
+        if job.state == RUNNING and job.stop_reason is None and self.clocks.stall_s(job):
             self._stop_stalled(job)
         return False
 
-    def _take_over(self, job: Job) -> None:
+    def _take_over(self, job: JobRow) -> None:
         """Make a run of a dead server one of this server, which sees it as well."""
+        handle = job.handle or {}
         with self._services.database.write() as connection:
-            fresh = across_tenants(jobs).where(jobs.c.id == job["id"]).with_for_update()
-            now_there = connection.execute(fresh).mappings().one_or_none()
-            if now_there is not None and now_there["handle"] == job["handle"]:
-                set_fields(connection, job, handle={**job["handle"], "server": self._members.id})
-                log.info("run_taken_over", job=job["id"], run=job["run"], server=job["handle"].get("server"))
+            fresh = across_tenants(jobs).where(jobs.c.id == job.id).with_for_update()
+            now_there = one(connection, fresh, JobRow)
+            if now_there is not None and now_there.handle == job.handle:
+                set_fields(connection, job, handle={**handle, "server": self._members.id})
+                log.info("run_taken_over", job=job.id, run=job.run, server=handle.get("server"))
 
-    def _stop_stalled(self, job: Job) -> bool:
+    def _stop_stalled(self, job: JobRow) -> bool:
         """Note that a run has to end because it does no steps."""
-        stage = (job["progress"] or {}).get("stage", "")
+        stage = (job.progress or {}).get("stage", "")
         still_s = self.clocks.stall_s(job)
-        log.warning("run_stalled", job=job["id"], run=job["run"], stage=stage, still_s=still_s)
+        log.warning("run_stalled", job=job.id, run=job.run, stage=stage, still_s=still_s)
         with self._services.database.write() as connection:
             set_fields(connection, job, stop_reason="stall", stop_at=now())
         return True
 
-    def _end(self, job: Job, *, asked: bool) -> bool:
+    def _end(self, job: JobRow, handle: Handle, *, asked: bool) -> bool:
         """Ask a process that should not be running to exit, and kill it after the grace time."""
-        waited_s = self.clocks.unchanged_s(job, "ending", job["run"])
+        waited_s = self.clocks.unchanged_s(job, "ending", job.run)
         if not asked:
             with self._services.database.write() as connection:
                 set_fields(connection, job, stop_at=now())
-            self._executor.stop(job["handle"], force=False)
+            self._executor.stop(handle, force=False)
         elif waited_s > self._settings.stop_grace_s:
-            log.warning("run_killed", job=job["id"], run=job["run"])
-            self._executor.stop(job["handle"], force=True)
+            log.warning("run_killed", job=job.id, run=job.run)
+            self._executor.stop(handle, force=True)
         return False
 
-    def _settle(self, job: Job, gone: Gone) -> bool:
+    def _settle(self, job: JobRow, gone: Gone) -> bool:
         """Update the job of a process that is gone."""
         with self._services.database.write() as connection:
             # The run's last report may have arrived after the row was read.
-            statement = across_tenants(jobs).where(jobs.c.id == job["id"]).with_for_update()
-            fresh = connection.execute(statement).mappings().one_or_none()
+            statement = across_tenants(jobs).where(jobs.c.id == job.id).with_for_update()
+            fresh = one(connection, statement, JobRow)
             if fresh is None or _which_run(fresh) != _which_run(job):
                 # Another server was faster.
                 return False
-            job = dict(fresh)
-            changed = judge(connection, job, gone, self._settings)
-        if changed and job["handle"] is not None:
-            self._tidy(job)
+            changed = judge(connection, fresh, gone, self._settings)
+        if changed and fresh.handle is not None:
+            self._tidy(fresh)
         return changed
 
-    def _tidy(self, job: Job) -> None:
+    def _tidy(self, job: JobRow) -> None:
         """Remove a run's files; the log stays, and so does the copy of the scene while it may be needed."""
         folder = self._work_dir(job).parent
         shutil.rmtree(self._work_dir(job), ignore_errors=True)
         with self._services.database.read() as connection:
-            statement = across_tenants(jobs, jobs.c.state).where(jobs.c.id == job["id"])
+            statement = across_tenants(jobs, jobs.c.state).where(jobs.c.id == job.id)
             state = connection.execute(statement).scalar_one()
         if state in FINAL:
             shutil.rmtree(folder / "scene", ignore_errors=True)
@@ -285,13 +287,13 @@ class Controller:
     def _start_queued(self) -> bool:
         """Start jobs while there is room for them; several servers take from the same queue."""
         busy = self._read(is_observed())
-        own = [job["handle"] or {} for job in busy if self._is_mine(job)]
-        others = [job["handle"] or {} for job in busy if not self._is_mine(job)]
+        own = [job.handle or {} for job in busy if self._is_mine(job)]
+        others = [job.handle or {} for job in busy if not self._is_mine(job)]
         room = self._executor.room(own, others)
         free = room.most_gpus()
         if free is None:
             return False
-        load = Counter(job["tenant_id"] for job in busy)
+        load = Counter(job.tenant_id for job in busy)
         with self._services.database.read() as connection:
             queue = QueueOrder(connection, load, free)
         started = False
@@ -302,22 +304,22 @@ class Controller:
                 break
             if self._start(job, room):
                 started = True
-                load[job["tenant_id"]] += 1
+                load[job.tenant_id] += 1
             free = room.most_gpus()
         return started
 
-    def _work_dir(self, job: Job) -> Any:
-        return self._settings.runs / job["id"] / f"run-{job['run']}"
+    def _work_dir(self, job: JobRow) -> Any:
+        return self._settings.runs / job.id / f"run-{job.run}"
 
-    def _start(self, job: Job, room: Room) -> bool:
-        run, gpus = job["run"] + 1, room.take(job["gpus"])
+    def _start(self, job: JobRow, room: Room) -> bool:
+        run, gpus = job.run + 1, room.take(job.gpus)
         with self._services.database.write() as connection:
             moved = move(
                 connection,
                 job,
                 RUNNING,
                 run=run,
-                started_at=job["started_at"] or now(),
+                started_at=job.started_at or now(),
                 run_started_at=now(),
                 heartbeat_at=None,
                 progress_at=None,
@@ -332,14 +334,14 @@ class Controller:
         # Not moved if another server was faster.
         if not moved:
             return False
-        job = {**job, "run": run, "state": RUNNING}
+        job = replace(job, run=run, state=RUNNING)
         launch = Launch(
-            job_id=job["id"],
+            job_id=job.id,
             run=run,
             address=self._server_address.address,
-            token=run_token(self._secret, job["id"], run),
+            token=run_token(self._secret, job.id, run),
             work_dir=self._work_dir(job),
-            num_gpus=job["gpus"],
+            num_gpus=job.gpus,
             gpus=gpus,
             servers=tuple(self._members.endpoints(self._members.host)),
             authority=self._server_address.authority,
@@ -353,14 +355,14 @@ class Controller:
                 set_fields(connection, job, handle=None)
             return True
         except OSError as error:
-            log.exception("run_not_started", job=job["id"], run=run)
+            log.exception("run_not_started", job=job.id, run=run)
             with self._services.database.write() as connection:
                 failure = Failure("internal", "run_not_started", f"the run process did not start: {error}")
                 fail(connection, job, failure, self._settings)
                 set_fields(connection, job, handle=None)
             return True
         RUNS_STARTED.inc()
-        log.info("run_started", job=job["id"], run=run, handle=handle)
+        log.info("run_started", job=job.id, run=run, handle=handle)
         with self._services.database.write() as connection:
             set_fields(connection, job, handle=handle)
         return True
@@ -376,14 +378,14 @@ class Controller:
         if self._executor.runs_elsewhere:
             return
         held = self._read(jobs.c.handle.is_not(None))
-        alive = [job for job in held if is_placed(job["handle"]) and self._is_mine(job)]
+        alive = [job.handle for job in held if is_placed(job.handle) and self._is_mine(job)]
         for force, wait_s in ((False, self._settings.stop_runs_s), (True, _KILLED_S)):
-            for job in alive:
-                self._executor.stop(job["handle"], force=force)
+            for handle in alive:
+                self._executor.stop(handle, force=force)
             until = time.monotonic() + wait_s
             while alive and time.monotonic() < until:
                 self._stopping.wait(0.1)
-                alive = [job for job in alive if self._is_alive(job["handle"])]
+                alive = [handle for handle in alive if self._is_alive(handle)]
 
     def _is_alive(self, handle: Handle) -> bool:
         try:
@@ -392,5 +394,5 @@ class Controller:
             return True
 
 
-def _which_run(job: Job) -> tuple[int, bool]:
-    return job["run"], is_placed(job["handle"])
+def _which_run(job: JobRow) -> tuple[int, bool]:
+    return job.run, is_placed(job.handle)

@@ -13,6 +13,8 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Integer, Select, and_, bindparam, func, not_, select
 
+from lambent_server.database.model import JobRow
+from lambent_server.database.rows import one
 from lambent_server.database.schema import jobs
 from lambent_server.database.service_schema import tenant_turns
 from lambent_server.database.tenancy import Tenant, across_tenants, add_if_absent, change
@@ -96,7 +98,7 @@ class QueueOrder:
             turns = across_tenants(tenant_turns, tenant_turns.c.tenant_id, tenant_turns.c.turn)
             self._turns = dict(iter(connection.execute(turns)))
 
-    def next(self, connection: Connection, free_gpus: int) -> dict[str, Any] | None:
+    def next(self, connection: Connection, free_gpus: int) -> JobRow | None:
         """Return the row of the next job that `free_gpus` suffice for; None after the last."""
         while fitting := [head for head in self._heads if head.gpus <= free_gpus]:
             head = min(fitting, key=self._place)
@@ -105,9 +107,9 @@ class QueueOrder:
             if follower is not None:
                 self._heads.append(replace(head, id=follower))
             statement = across_tenants(jobs).where(jobs.c.id == head.id, is_startable())
-            if (row := connection.execute(statement).mappings().one_or_none()) is not None:
+            if (job := one(connection, statement, JobRow)) is not None:
                 self._turns[head.tenant_id] = max(self._turns.values(), default=0) + 1
-                return dict(row)
+                return job
         return None
 
     def _place(self, head: Head) -> tuple[int, int, int, str]:

@@ -26,16 +26,16 @@ def retry_job(
         if known is not None:
             return job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, known))
         job = job_queries.require_job(connection, tenant, job_id)
-        if job["state"] not in (FAILED, CANCELLED):
+        if job.state not in (FAILED, CANCELLED):
             raise conflict(
-                "job_not_ended", f"job {job_id} is {job['state']}; only failed and cancelled jobs can"
+                "job_not_ended", f"job {job_id} is {job.state}; only failed and cancelled jobs can"
             )
-        if job["order_id"] is None:
+        if job.order_id is None:
             fresh = job_queries.submit_again(connection, tenant, job, services)
         else:
             fresh = render_rows.queue_again(connection, tenant, job, services)
-        point_to(connection, tenant, key, fresh["id"])
+        point_to(connection, tenant, key, fresh.id)
         shown = job_queries.show(connection, tenant, fresh)
-        audit.record(connection, who, "retry_job", job_id, details={"job": fresh["id"]})
+        audit.record(connection, who, "retry_job", job_id, details={"job": fresh.id})
     services.wakeups.signal()
     return shown

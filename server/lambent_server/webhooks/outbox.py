@@ -8,7 +8,9 @@ from sqlalchemy import Connection
 
 from lambent_server.accounts.makers import maker_of, scopes_of_maker
 from lambent_server.accounts.scopes import ADMIN, SUBMIT
+from lambent_server.accounts.who import Maker
 from lambent_server.core.clock import new_id, now, rfc3339
+from lambent_server.database.model import JobRow
 from lambent_server.database.service_schema import webhook_deliveries, webhook_secrets, webhooks
 from lambent_server.database.tenancy import Tenant, add, add_if_absent, rows
 from lambent_server.webhooks.messages import ENDS, PING, DeliveredBody, DeliveredError, DeliveredJob
@@ -19,43 +21,45 @@ _MESSAGE_CHARACTERS = 1000
 Row = Mapping[str, Any]
 
 
-def tell(connection: Connection, job: Row, state: str, seq: int) -> None:
+def tell(connection: Connection, job: JobRow, state: str, seq: int) -> None:
     """Store a delivery for each subscription to this change, and one for the job's own webhook at its end.
 
     `job` has the columns after the change, and `seq` is the number of its event.
     """
-    tenant, event = Tenant(job["tenant_id"]), f"job.{state}"
+    tenant, event = Tenant(job.tenant_id), f"job.{state}"
     working = rows(tenant, webhooks).where(webhooks.c.disabled_at.is_(None))
     receivers: list[tuple[str | None, str]] = [
         (row["id"], row["url"])
         for row in connection.execute(working).mappings()
         if event in row["events"]
-        and row["labels"].items() <= job["labels"].items()
+        and row["labels"].items() <= job.labels.items()
         and ADMIN in scopes_of_maker(connection, tenant, maker_of(row))
     ]
-    by = maker_of(job)
-    if job["webhook"] and event in ENDS and SUBMIT in scopes_of_maker(connection, tenant, by):
+    by = Maker(user_id=job.maker_user_id, key_id=job.maker_key_id)
+    if job.webhook and event in ENDS and SUBMIT in scopes_of_maker(connection, tenant, by):
         secret_of_jobs(connection, tenant)
-        receivers.append((None, job["webhook"]))
+        receivers.append((None, job.webhook))
     if not receivers:
         return
     body = DeliveredBody(type=event, timestamp=rfc3339(now()), data=_told(job, state, seq))  # type: ignore[arg-type]
     text = body.model_dump_json()
     for webhook_id, url in receivers:
-        store(connection, tenant, webhook_id, job["id"], event, url, text)
+        store(connection, tenant, webhook_id, job.id, event, url, text)
 
 
-def _told(job: Row, state: str, seq: int) -> DeliveredJob:
-    error = job["error"]
+def _told(job: JobRow, state: str, seq: int) -> DeliveredJob:
+    error = job.error
     names = ("id", "kind", "scene_id", "preset", "labels", "priority", "run", "bundle_id")
     return DeliveredJob(
-        **{name: job[name] for name in names},
+        **{name: getattr(job, name) for name in names},
         state=state,
         seq=seq,
-        batch_id=job["order_id"] if job["kind"] == "batch" else None,
-        error=error and DeliveredError(code=error["code"], message=error["message"][:_MESSAGE_CHARACTERS]),
-        created_at=rfc3339(job["created_at"]),
-        finished_at=None if job["finished_at"] is None else rfc3339(job["finished_at"]),
+        batch_id=job.order_id if job.kind == "batch" else None,
+        error=DeliveredError(code=error["code"], message=error["message"][:_MESSAGE_CHARACTERS])
+        if error
+        else None,
+        created_at=rfc3339(job.created_at),
+        finished_at=None if job.finished_at is None else rfc3339(job.finished_at),
     )
 
 

@@ -15,6 +15,7 @@ from lambent_server.api.rest_json import enum_text, to_rest
 from lambent_server.core.clock import new_id, now
 from lambent_server.core.settings import Settings
 from lambent_server.database.columns import next_number
+from lambent_server.database.model import JobRow
 from lambent_server.database.schema import (
     artifacts,
     bundle_files,
@@ -27,7 +28,7 @@ from lambent_server.database.tenancy import add, change, find
 from lambent_server.jobs.outcomes import Failure, fail, lose
 from lambent_server.jobs.preparation import drop_superseded, offered_checkpoints, scene_of_checkpoint
 from lambent_server.jobs.previews import SHEET, thin
-from lambent_server.jobs.rows import Job, NewEvent, append_event, append_events, owner, set_fields
+from lambent_server.jobs.rows import NewEvent, append_event, append_events, owner, set_fields
 from lambent_server.provenance import Signer
 from lambent_server.running.run_inputs import inputs_of
 from lambent_server.scenes.figures import store_figures
@@ -42,17 +43,17 @@ _YOUNG_S = 600.0
 _OLD_S = 3600.0
 
 
-def describe_run(connection: Connection, job: Job, settings: Settings) -> worker_pb2.StartResponse:
+def describe_run(connection: Connection, job: JobRow, settings: Settings) -> worker_pb2.StartResponse:
     """Return the work of the run, and where an earlier run stopped."""
     tenant = owner(job)
     inputs = inputs_of(connection, job)
     response = worker_pb2.StartResponse(
-        **{name: job[name] for name in ("kind", "scene_id", "preset", "params", "gpus", "seed")},
+        **{name: getattr(job, name) for name in ("kind", "scene_id", "preset", "params", "gpus", "seed")},
         files=inputs.files,
         check_scene=inputs.check_scene,
-        device="cuda" if job["gpus"] else "cpu",
+        device="cuda" if job.gpus else "cpu",
         adjustments=worker_pb2.Adjustments(
-            stages={stage: worker_pb2.StageAdjustments(**own) for stage, own in job["adjustments"].items()}
+            stages={stage: worker_pb2.StageAdjustments(**own) for stage, own in job.adjustments.items()}
         ),
         progress_interval_s=settings.progress_interval_s,
         preview_interval_s=settings.preview_interval_s,
@@ -65,26 +66,26 @@ def describe_run(connection: Connection, job: Job, settings: Settings) -> worker
     return response
 
 
-def _progress_gap_s(job: Job, settings: Settings) -> float:
+def _progress_gap_s(job: JobRow, settings: Settings) -> float:
     """Return the minimum time between stored progress events: the longer a job runs, the fewer are kept."""
-    age = now() - (job["started_at"] or now())
+    age = now() - (job.started_at or now())
     factor = 1 if age < _YOUNG_S else 10 if age < _OLD_S else 60
     return factor * settings.progress_interval_s
 
 
 def store_report(
-    connection: Connection, job: Job, report: worker_pb2.ReportRequest, settings: Settings
+    connection: Connection, job: JobRow, report: worker_pb2.ReportRequest, settings: Settings
 ) -> None:
     """Store progress and events, unless this report has been stored already."""
-    if report.sequence <= job["report_seq"]:
+    if report.sequence <= job.report_seq:
         return
     values: dict[str, Any] = {"report_seq": report.sequence, "heartbeat_at": now()}
     if report.HasField("progress"):
         progress = to_rest(report.progress)
         values |= {"progress": progress, "progress_at": now()}
         stage_ended = progress["step"] == progress["num_steps"]
-        due = not 0.0 <= now() - (job["progress_event_at"] or 0.0) < 0.9 * _progress_gap_s(job, settings)
-        if due or stage_ended or progress["stage"] != (job["progress"] or {}).get("stage"):
+        due = not 0.0 <= now() - (job.progress_event_at or 0.0) < 0.9 * _progress_gap_s(job, settings)
+        if due or stage_ended or progress["stage"] != (job.progress or {}).get("stage"):
             values["progress_event_at"] = now()
             append_event(connection, job, NewEvent(type="progress", progress=progress))
     previews = [event for event in report.events if event.type == "preview" and event.sha256]
@@ -117,10 +118,10 @@ def _plain(text: str, limit: int) -> str:
     return text if left_out <= 0 else f"{text[:limit]}… ({left_out} more characters)"
 
 
-def store_scene_report(connection: Connection, job: Job, request: worker_pb2.ReportSceneRequest) -> None:
+def store_scene_report(connection: Connection, job: JobRow, request: worker_pb2.ReportSceneRequest) -> None:
     """Store findings and measurements of the scene, and whether jobs may use it."""
     report = request.report
-    scene = find(connection, owner(job), scenes, job["scene_id"], lock=True)
+    scene = find(connection, owner(job), scenes, job.scene_id, lock=True)
     if scene is None or scene["state"] not in ("uploaded", "ready"):
         return
     fresh = to_rest(report)
@@ -141,7 +142,7 @@ def store_scene_report(connection: Connection, job: Job, request: worker_pb2.Rep
 
 
 def store_failure(
-    connection: Connection, job: Job, request: worker_pb2.FailRequest, settings: Settings
+    connection: Connection, job: JobRow, request: worker_pb2.FailRequest, settings: Settings
 ) -> None:
     """End the run according to the cause of its failure; what it made nevertheless is published."""
     _publish_artifacts(connection, job, request.artifacts)
@@ -155,7 +156,7 @@ def store_failure(
     fail(connection, job, Failure(cause, code, message), settings)
 
 
-def _require_blobs(connection: Connection, job: Job, files: Iterable[Any]) -> dict[str, int]:
+def _require_blobs(connection: Connection, job: JobRow, files: Iterable[Any]) -> dict[str, int]:
     """Return the sizes of files by hash; refuse one that was never sent."""
     named = {file.sha256: file.path for file in files}
     sizes = touch_all(connection, owner(job), named)
@@ -165,7 +166,7 @@ def _require_blobs(connection: Connection, job: Job, files: Iterable[Any]) -> di
     return sizes
 
 
-def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.CheckpointManifest) -> None:
+def store_checkpoint(connection: Connection, job: JobRow, manifest: job_pb2.CheckpointManifest) -> None:
     """Store the checkpoint, and delete those that no later run would use."""
     tenant = owner(job)
     for file in manifest.files:
@@ -179,8 +180,8 @@ def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.Checkpo
             checkpoints,
             id=identifier,
             number=next_number(connection, checkpoints.c.number),
-            job_id=job["id"],
-            run=job["run"],
+            job_id=job.id,
+            run=job.run,
             stage=manifest.stage,
             step=manifest.step,
             created_at=now(),
@@ -203,7 +204,7 @@ def store_checkpoint(connection: Connection, job: Job, manifest: job_pb2.Checkpo
 
 def publish(
     connection: Connection,
-    job: Job,
+    job: JobRow,
     request: worker_pb2.PublishRequest,
     store: BlobStore,
     signer: Signer | None = None,
@@ -219,9 +220,9 @@ def publish(
         return None
     manifest = _check_manifest(request, store)
     bundle_id = new_id("bundle")
-    names = {"job_id": job["id"], "scene_id": job["scene_id"], "labels": job["labels"]}
+    names = {"job_id": job.id, "scene_id": job.scene_id, "labels": job.labels}
     connection.execute(add(tenant, bundles, id=bundle_id, created_at=now(), **names))
-    label_rows.store(connection, tenant, bundle_id, job["labels"])
+    label_rows.store(connection, tenant, bundle_id, job.labels)
     of_bundle = {"tenant_id": tenant.id, "bundle_id": bundle_id}
     _insert(connection, bundle_files, [{**of_bundle, **_file_values(file)} for file in request.bundle_files])
     if signer is not None:
@@ -237,7 +238,7 @@ def publish(
     return bundle_id
 
 
-def _require_files(connection: Connection, job: Job, files: Iterable[worker_pb2.PublishedFile]) -> None:
+def _require_files(connection: Connection, job: JobRow, files: Iterable[worker_pb2.PublishedFile]) -> None:
     """Raise the problem of files that were never uploaded, or that have another size or no safe path."""
     given = list(files)
     for file in given:
@@ -248,10 +249,12 @@ def _require_files(connection: Connection, job: Job, files: Iterable[worker_pb2.
             raise Problem(422, "size_mismatch", f"{file.path}: the blob has another size")
 
 
-def _publish_artifacts(connection: Connection, job: Job, files: Sequence[worker_pb2.PublishedFile]) -> None:
+def _publish_artifacts(
+    connection: Connection, job: JobRow, files: Sequence[worker_pb2.PublishedFile]
+) -> None:
     """Insert the rows that make artifacts visible."""
     _require_files(connection, job, files)
-    of_job = {"tenant_id": owner(job).id, "job_id": job["id"]}
+    of_job = {"tenant_id": owner(job).id, "job_id": job.id}
     values = [{**of_job, **_file_values(file)} for file in files]
     _insert(connection, artifacts, [{**each, "name": each.pop("path")} for each in values])
     told = [NewEvent(type="artifact", name=file.path, sha256=file.sha256) for file in files]

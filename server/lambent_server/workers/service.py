@@ -17,11 +17,13 @@ from lambent_server.api.problems import Problem
 from lambent_server.cluster.certificates import Certificate
 from lambent_server.core.clock import now
 from lambent_server.core.secrets import is_token_of
+from lambent_server.database.model import JobRow
+from lambent_server.database.rows import one
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.executors import is_placed, run_name
 from lambent_server.jobs.outcomes import requeue, succeed
-from lambent_server.jobs.rows import CANCELLING, ENDED, HAS_RUN, SUCCEEDED, Job, owner, set_fields
+from lambent_server.jobs.rows import CANCELLING, ENDED, HAS_RUN, SUCCEEDED, owner, set_fields
 from lambent_server.services import Services
 from lambent_server.storage.content_checks import CHUNK_BYTES
 from lambent_server.storage.outages import away
@@ -87,32 +89,32 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             raise Refused(grpc.StatusCode.UNAUTHENTICATED, "the token does not belong to this run")
 
     @staticmethod
-    def _current_job(connection: Connection, fence: worker_pb2.Fence) -> Job:
+    def _current_job(connection: Connection, fence: worker_pb2.Fence) -> JobRow:
         # Locked, so that no other run starts between this check and the end of the transaction.
         statement = across_tenants(jobs).where(jobs.c.id == fence.job_id).with_for_update()
-        job = connection.execute(statement).mappings().one_or_none()
+        job = one(connection, statement, JobRow)
         if job is None:
             raise Refused(grpc.StatusCode.NOT_FOUND, f"there is no job {fence.job_id!r}")
-        if job["run"] != fence.run:
+        if job.run != fence.run:
             raise Refused(
                 grpc.StatusCode.FAILED_PRECONDITION,
-                f"run {fence.run} of {fence.job_id} is stale, the current one is {job['run']}",
+                f"run {fence.run} of {fence.job_id} is stale, the current one is {job.run}",
             )
-        return dict(job)
+        return job
 
     @staticmethod
-    def _require_active(job: Job, fence: worker_pb2.Fence) -> None:
-        if job["state"] not in HAS_RUN:
+    def _require_active(job: JobRow, fence: worker_pb2.Fence) -> None:
+        if job.state not in HAS_RUN:
             raise Refused(
                 grpc.StatusCode.FAILED_PRECONDITION,
-                f"run {fence.run} of {fence.job_id} has ended, the job is {job['state']}",
+                f"run {fence.run} of {fence.job_id} has ended, the job is {job.state}",
             )
 
     def _answer(
         self,
         context: grpc.ServicerContext,
         fence: worker_pb2.Fence,
-        act: Callable[[Connection, Job], Reply],
+        act: Callable[[Connection, JobRow], Reply],
         *,
         even_if_ended: bool = False,
         signal: bool = True,
@@ -146,17 +148,17 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             self._services.wakeups.signal()
         return reply
 
-    def _servers_for(self, job: Job) -> Sequence[str]:
-        return self._servers((job["handle"] or {}).get("host", ""))
+    def _servers_for(self, job: JobRow) -> Sequence[str]:
+        return self._servers((job.handle or {}).get("host", ""))
 
     def Register(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Store the handle of the process, in case the server that started it ended before it could."""
 
-        def act(connection: Connection, job: Job) -> Message:
+        def act(connection: Connection, job: JobRow) -> Message:
             values: dict[str, Any] = {"heartbeat_at": now()}
-            handle = job["handle"] or {}
+            handle = job.handle or {}
             if not is_placed(handle):
-                run = run_name(job["id"], job["run"])
+                run = run_name(job.id, job.run)
                 found = {"pid": request.pid, "identity": request.process_identity, "run": run}
                 values["handle"] = {"gpus": [], **handle, **found}
             set_fields(connection, job, **values)
@@ -168,7 +170,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def Start(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Return the work to do."""
 
-        def act(connection: Connection, job: Job) -> Message:
+        def act(connection: Connection, job: JobRow) -> Message:
             set_fields(connection, job, heartbeat_at=now(), progress_at=now())
             return run_reports.describe_run(connection, job, self._services.settings)
 
@@ -177,7 +179,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def Heartbeat(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Record that the process is alive, and tell it whether to stop."""
 
-        def act(connection: Connection, job: Job) -> Message:
+        def act(connection: Connection, job: JobRow) -> Message:
             set_fields(connection, job, heartbeat_at=now())
             return worker_pb2.HeartbeatResponse(stop=_must_stop(job), servers=self._servers_for(job))
 
@@ -186,7 +188,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def Report(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Store progress and events; a report that is sent again is stored only once."""
 
-        def act(connection: Connection, job: Job) -> Message:
+        def act(connection: Connection, job: JobRow) -> Message:
             run_reports.store_report(connection, job, request, self._services.settings)
             return worker_pb2.ReportResponse(stop=_must_stop(job), servers=self._servers_for(job))
 
@@ -195,7 +197,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def ReportScene(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Store the findings and measurements of the scene."""
 
-        def act(connection: Connection, job: Job) -> Message:
+        def act(connection: Connection, job: JobRow) -> Message:
             run_reports.store_scene_report(connection, job, request)
             return worker_pb2.ReportSceneResponse()
 
@@ -258,7 +260,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def CommitCheckpoint(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Store a checkpoint as the newest one."""
 
-        def act(connection: Connection, job: Job) -> Message:
+        def act(connection: Connection, job: JobRow) -> Message:
             run_reports.store_checkpoint(connection, job, request.manifest)
             return worker_pb2.CommitCheckpointResponse()
 
@@ -267,11 +269,11 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def Publish(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Publish the result and complete the job; repeating it returns the same answer."""
 
-        def act(connection: Connection, job: Job) -> Message:
-            if job["state"] == SUCCEEDED:
-                return worker_pb2.PublishResponse(bundle_id=job["bundle_id"] or "")
+        def act(connection: Connection, job: JobRow) -> Message:
+            if job.state == SUCCEEDED:
+                return worker_pb2.PublishResponse(bundle_id=job.bundle_id or "")
             self._require_active(job, request.fence)
-            if job["state"] == CANCELLING:
+            if job.state == CANCELLING:
                 raise Refused(grpc.StatusCode.FAILED_PRECONDITION, "the job is being cancelled")
             bundle_id = run_reports.publish(
                 connection, job, request, self._services.store, self._services.signer
@@ -284,9 +286,9 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def Finish(self, request: Any, context: Any) -> Any:  # noqa: N802
         """End a run without a bundle."""
 
-        def act(connection: Connection, job: Job) -> Message:
+        def act(connection: Connection, job: JobRow) -> Message:
             # A requested stop is completed when the process is gone.
-            if job["state"] in HAS_RUN and job["state"] != CANCELLING and job["stop_reason"] is None:
+            if job.state in HAS_RUN and job.state != CANCELLING and job.stop_reason is None:
                 if request.outcome == worker_pb2.OUTCOME_SUCCEEDED:
                     succeed(connection, job)
                 else:
@@ -299,8 +301,8 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def Fail(self, request: Any, context: Any) -> Any:  # noqa: N802
         """End a failed run, and decide whether the job is retried."""
 
-        def act(connection: Connection, job: Job) -> Message:
-            if job["state"] in HAS_RUN and job["state"] != CANCELLING and job["stop_reason"] is None:
+        def act(connection: Connection, job: JobRow) -> Message:
+            if job.state in HAS_RUN and job.state != CANCELLING and job.stop_reason is None:
                 run_reports.store_failure(connection, job, request, self._services.settings)
             _note_end(connection, job)
             return worker_pb2.FailResponse()
@@ -308,8 +310,8 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         return self._answer(context, request.fence, act, even_if_ended=True)
 
 
-def _blob_of(sha256: str) -> Callable[[Connection, Job], Blob]:
-    def act(connection: Connection, job: Job) -> Blob:
+def _blob_of(sha256: str) -> Callable[[Connection, JobRow], Blob]:
+    def act(connection: Connection, job: JobRow) -> Blob:
         blob = find_blob(connection, owner(job), sha256)
         if blob is None:
             raise Refused(grpc.StatusCode.NOT_FOUND, f"there is no blob {sha256}")
@@ -318,14 +320,14 @@ def _blob_of(sha256: str) -> Callable[[Connection, Job], Blob]:
     return act
 
 
-def _note_end(connection: Connection, job: Job) -> None:
+def _note_end(connection: Connection, job: JobRow) -> None:
     """Note that a cancelled run is about to exit, for servers that cannot see its process."""
-    if job["state"] == CANCELLING:
+    if job.state == CANCELLING:
         set_fields(connection, job, stop_reason=ENDED)
 
 
-def _must_stop(job: Job) -> bool:
-    return job["state"] == CANCELLING or job["stop_reason"] is not None
+def _must_stop(job: JobRow) -> bool:
+    return job.state == CANCELLING or job.stop_reason is not None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

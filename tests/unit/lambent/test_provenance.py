@@ -7,6 +7,7 @@ import os
 import shutil
 import zipfile
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,12 @@ from lambent.errors import LambentError, UsageProblemError
 from lambent_server.core.secrets import SecretError
 from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
+from lambent_server.database.model import JobRow
 from lambent_server.provenance import Signer, new_key, open_signer, pre_authentication, statement_of
 from support.api import sha256
 from support.databases import postgresql
 
-JOB: dict[str, Any] = {
+GIVEN: dict[str, Any] = {
     "id": "job_1",
     "run": 2,
     "kind": "train",
@@ -36,6 +38,7 @@ JOB: dict[str, Any] = {
     "started_at": 1e9,
     "created_at": 1e9,
 }
+JOB = JobRow(**{**dict.fromkeys(each.name for each in fields(JobRow)), **GIVEN})
 FILES = {"mesh/asset.glb": b"triangles", "models/weights.bin": b"weights" * 1000}
 GENERATOR = {"name": "lambent", "version": "1.2.3", "git_revision": "abcdef"}
 

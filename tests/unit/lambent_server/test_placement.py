@@ -1,18 +1,19 @@
 """The controller with an executor on other machines: away, without room, or shared by several servers."""
 
 from pathlib import Path
-from typing import Any
 
 import pytest
-from lambent_server.database.schema import jobs
+from lambent_server.database.model import JobRow
 from lambent_server.executors import ExecutorAwayError, Handle, Launch
+from lambent_server.jobs.queries import require_job
 from lambent_server.jobs.rows import set_fields
+from support.api import TENANT
 from support.runs import FakeExecutor, Others, Stage, staged
 
 
-def row_of(stage: Stage, job_id: str) -> dict[str, Any]:
+def row_of(stage: Stage, job_id: str) -> JobRow:
     with stage.api.services.database.read() as connection:
-        return dict(connection.execute(jobs.select().where(jobs.c.id == job_id)).mappings().one())
+        return require_job(connection, TENANT, job_id)
 
 
 def test_a_run_that_cannot_be_placed_goes_back_to_the_queue_and_says_why(tmp_path: Path):
@@ -28,7 +29,7 @@ def test_a_run_that_cannot_be_placed_goes_back_to_the_queue_and_says_why(tmp_pat
             set_fields(connection, row_of(stage, job), retry_at=0.0)
         stage.controller.turn()
         found = row_of(stage, job)
-        assert (found["state"], found["run"], found["failures"], found["losses"]) == ("running", 2, 0, 0)
+        assert (found.state, found.run, found.failures, found.losses) == ("running", 2, 0, 0)
 
 
 def test_a_cancelled_run_that_cannot_be_placed_is_cancelled(tmp_path: Path):
@@ -51,7 +52,7 @@ def test_an_order_that_the_cluster_does_not_take_is_no_failure(
         monkeypatch.setattr(FakeExecutor, "start", refuse)
         stage.controller.turn()
         assert stage.job(job)["state"] == "retry_wait"
-        assert row_of(stage, job)["handle"] is None
+        assert row_of(stage, job).handle is None
 
 
 def test_while_the_cluster_is_away_a_run_counts_by_what_it_says_itself(tmp_path: Path):
@@ -80,11 +81,11 @@ def test_a_run_on_shared_nodes_is_taken_over_from_a_server_that_died(
         stage.controller._members = Others(leads=leads)
         found = row_of(stage, job)
         with stage.api.services.database.write() as connection:
-            set_fields(connection, found, handle={**found["handle"], "server": "server_there"})
+            set_fields(connection, found, handle={**found.handle, "server": "server_there"})
         stage.executor.adopts = adopts
         stage.controller.turn()
         expected = "server_here" if adopts else "server_there"
-        assert row_of(stage, job)["handle"] == {**found["handle"], "server": expected}
+        assert row_of(stage, job).handle == {**found.handle, "server": expected}
         assert stage.job(job)["run"] == 1
 
 

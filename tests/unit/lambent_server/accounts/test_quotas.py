@@ -15,6 +15,8 @@ from lambent_server.accounts.who import Who
 from lambent_server.api.problems import Problem
 from lambent_server.core.clock import now
 from lambent_server.core.settings import Settings
+from lambent_server.database.model import JobRow
+from lambent_server.database.rows import many
 from lambent_server.database.schema import blobs, jobs
 from lambent_server.database.tenancy import Tenant, change, remove, rows
 from lambent_server.http.rates import Rates
@@ -108,9 +110,9 @@ def test_the_sum_of_bytes_follows_every_change(services: Services, tmp_path: Pat
 def test_gpu_time_counts_when_a_run_ends_and_while_it_goes_on(services: Services):
     queue(services, gpus=2, reserved_s=60.0)
     with services.database.write() as connection:
-        job = dict(connection.execute(rows(CROWD, jobs)).mappings().one())
+        (job,) = many(connection, rows(CROWD, jobs), JobRow)
         assert move(connection, job, RUNNING, run=1, run_started_at=now() - 600)
-        job = require_job(connection, CROWD, job["id"])
+        job = require_job(connection, CROWD, job.id)
     # 2 GPUs x 10 minutes of 60 are in use; 30 more fit, 45 do not.
     with pytest.raises(Problem) as refused:
         queue(services, gpus=1, reserved_s=45 * 60.0)

@@ -33,7 +33,7 @@ def api(tmp_path: Path) -> Iterator[Api]:
 def add_jobs(api: Api, count: int) -> list[str]:
     values = {"kind": "train", "scene_id": "x", "preset": "tiny", "params": {}, "seed": 0}
     with api.services.database.write() as connection:
-        return [insert_job(connection, TENANT, labels={}, **values)["id"] for _ in range(count)]
+        return [insert_job(connection, TENANT, labels={}, **values).id for _ in range(count)]
 
 
 def test_a_stream_follows_as_many_jobs_as_a_batch_can_have(api: Api):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from lambent_server.database.model import JobRow
 from lambent_server.http.budget import REQUESTS, STREAMS, Budget, Place
 from lambent_server.jobs import feed as feed_module
 from lambent_server.jobs.feed import GIVE_WAY_S, Feed, Subscription
@@ -22,7 +23,7 @@ def api(tmp_path: Path) -> Iterator[Api]:
         yield api
 
 
-def add_job(api: Api) -> dict[str, Any]:
+def add_job(api: Api) -> JobRow:
     values = {"kind": "train", "scene_id": "x", "preset": "tiny", "params": {}, "seed": 0}
     with api.services.database.write() as connection:
         return insert_job(connection, TENANT, labels={}, **values)
@@ -75,7 +76,7 @@ def test_a_hundred_streams_cost_as_many_queries_as_one(api: Api):
     asked = selects(api)
     counts = []
     for number in (1, 100):
-        streams = [Subscription(frozenset({job["id"]}), {job["id"]: 1}) for _ in range(number)]
+        streams = [Subscription(frozenset({job.id}), {job.id: 1}) for _ in range(number)]
 
         async def act(feed: Feed, streams: list[Subscription] = streams) -> None:
             before = len(asked)
@@ -92,7 +93,7 @@ def test_a_hundred_streams_cost_as_many_queries_as_one(api: Api):
 
 def test_idle_streams_are_offered_nothing_and_only_the_feed_reads(api: Api):
     job = add_job(api)
-    streams = [Subscription(frozenset({job["id"]}), {job["id"]: 1}) for _ in range(200)]
+    streams = [Subscription(frozenset({job.id}), {job.id: 1}) for _ in range(200)]
     asked = selects(api)
 
     async def act(_: Feed) -> None:
@@ -106,7 +107,7 @@ def test_idle_streams_are_offered_nothing_and_only_the_feed_reads(api: Api):
 
 def test_every_change_is_offered_once_in_order(api: Api):
     job = add_job(api)
-    stream = Subscription(frozenset(), {job["id"]: 1})
+    stream = Subscription(frozenset(), {job.id: 1})
     got: list[int] = []
 
     async def act(_: Feed) -> None:
@@ -127,8 +128,8 @@ def test_every_change_is_offered_once_in_order(api: Api):
 def test_a_job_that_a_stream_has_never_seen_comes_with_a_snapshot(api: Api):
     old = add_job(api)
     named, every = (
-        Subscription(frozenset({old["id"]}), {old["id"]: 1}),
-        Subscription(frozenset(), {old["id"]: 1}),
+        Subscription(frozenset({old.id}), {old.id: 1}),
+        Subscription(frozenset(), {old.id: 1}),
     )
 
     async def act(_: Feed) -> None:
@@ -137,7 +138,7 @@ def test_a_job_that_a_stream_has_never_seen_comes_with_a_snapshot(api: Api):
         await until(lambda: every._waiting)
         (change,) = every.take() or []
         assert change.snapshot is not None
-        assert (change.job_id, change.snapshot.seq) == (new["id"], 1)
+        assert (change.job_id, change.snapshot.seq) == (new.id, 1)
         assert named.take() == []
 
     run_streams(api, [named, every], act)
@@ -161,7 +162,7 @@ def test_a_stream_that_does_not_take_its_changes_is_told_to_read_them_itself(
 ):
     monkeypatch.setattr(feed_module, "MAX_WAITING", 3)
     job = add_job(api)
-    slow, quick = (Subscription(frozenset({job["id"]}), {job["id"]: 1}) for _ in range(2))
+    slow, quick = (Subscription(frozenset({job.id}), {job.id: 1}) for _ in range(2))
 
     async def act(_: Feed) -> None:
         seen = 1
@@ -178,7 +179,7 @@ def test_a_stream_that_does_not_take_its_changes_is_told_to_read_them_itself(
 
 def test_changes_that_nobody_signals_are_noticed_at_the_next_look(api: Api):
     job = add_job(api)
-    stream = Subscription(frozenset(), {job["id"]: 1})
+    stream = Subscription(frozenset(), {job.id: 1})
 
     async def act(_: Feed) -> None:
         with api.services.database.write() as connection:
@@ -191,7 +192,7 @@ def test_changes_that_nobody_signals_are_noticed_at_the_next_look(api: Api):
 def test_the_newest_jobs_are_read_once_for_streams_that_begin_together_and_anew_after_a_change(api: Api):
     job = add_job(api)
     asked = selects(api)
-    anchor = Subscription(frozenset(), {job["id"]: 1})
+    anchor = Subscription(frozenset(), {job.id: 1})
 
     async def act(feed: Feed) -> None:
         await feed.recent(TENANT)
@@ -209,7 +210,7 @@ def test_the_newest_jobs_are_read_once_for_streams_that_begin_together_and_anew_
 def test_the_feed_stops_reading_with_its_last_stream_and_begins_again(api: Api):
     job = add_job(api)
     for _ in range(2):
-        stream = Subscription(frozenset(), {job["id"]: job["event_seq"]})
+        stream = Subscription(frozenset(), {job.id: job.event_seq})
 
         async def act(_: Feed, stream: Subscription = stream) -> None:
             add_events(api, job)
@@ -220,7 +221,7 @@ def test_the_feed_stops_reading_with_its_last_stream_and_begins_again(api: Api):
 
 def test_a_database_that_fails_delays_the_news_and_loses_none(api: Api, monkeypatch: pytest.MonkeyPatch):
     job = add_job(api)
-    stream = Subscription(frozenset(), {job["id"]: 1})
+    stream = Subscription(frozenset(), {job.id: 1})
     look, failures = Feed._look, []
 
     def failing(self: Feed, *given: Any) -> Any:

@@ -17,7 +17,9 @@ from lambent_server.api.problems import Problem
 from lambent_server.core.clock import now
 from lambent_server.core.secrets import new_secret, read_or_create_secret
 from lambent_server.core.settings import Settings
+from lambent_server.database.model import JobRow
 from lambent_server.database.people_schema import members
+from lambent_server.database.rows import many
 from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import Tenant, add, rows
 from lambent_server.jobs.rows import RUNNING, set_fields
@@ -159,7 +161,7 @@ def test_it_is_not_deleted_while_it_is_open_or_a_process_runs(services: Services
     with pytest.raises(Problem, match="close gone first"):
         erasure.erase(services, OPERATOR)
     with services.database.write() as connection:
-        job = dict(connection.execute(rows(GONE, jobs)).mappings().one())
+        (job,) = many(connection, rows(GONE, jobs), JobRow)
         set_fields(connection, job, state=RUNNING, handle={"pid": 1, "run": "x/1"})
     assert erasure.close(services, WHO) == 1
     with pytest.raises(Problem, match="have not ended"):
