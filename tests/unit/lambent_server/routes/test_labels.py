@@ -1,9 +1,11 @@
 """Labels of jobs, scenes and bundles: changed by merging, found by lists; and the turn of a waiting job."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from lambent_proto import BUNDLE_VERSION
 from lambent_server.jobs.rows import RUNNING, move
 from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
 from support.runs import staged
@@ -54,8 +56,8 @@ def test_deleted_things_are_found_by_no_label(api: Api, tmp_path: Path):
 def test_a_bundle_begins_with_the_labels_of_its_job(tmp_path: Path):
     with staged(tmp_path) as stage:
         job = stage.start(labels={"shot": "3"})
-        manifest = stage.put(job, b"{}")
-        file = {"path": "manifest.json", "sha256": manifest, "size_bytes": 2}
+        text = json.dumps({"schema_version": BUNDLE_VERSION}).encode()
+        file = {"path": "manifest.json", "sha256": stage.put(job, text), "size_bytes": len(text)}
         bundle_id = stage.call("Publish", job, bundle_files=[file]).bundle_id
         assert found(stage.api, "bundles", "shot=3") == [bundle_id]
 
