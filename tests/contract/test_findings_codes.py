@@ -3,6 +3,9 @@
 import re
 from pathlib import Path
 
+import lambent_asset
+import lambent_capture
+import lambent_core
 import lambent_relight
 import lambent_run
 from lambent_relight import asset
@@ -16,7 +19,8 @@ NO_CODES = {"bundle.bundle", "environment.maps", "environment.exr"}
 
 
 def codes_in_sources():
-    folders = (Path(lambent_run.__path__[0]), Path(asset.__path__[0]))
+    packages = (lambent_core, lambent_capture, lambent_asset, lambent_run, asset)
+    folders = [Path(package.__path__[0]) for package in packages]
     text = "\n".join(path.read_text(encoding="utf-8") for folder in folders for path in folder.rglob("*.py"))
     return set(re.findall(rf'"((?:{AREAS})\.[a-z_]+)"', text)) - FILES
 
@@ -34,7 +38,7 @@ def test_no_code_is_documented_that_does_not_exist():
 
 
 def test_the_codes_of_the_clients_library_are_documented_and_exist():
-    folder = Path(lambent_relight.__path__[0])
-    text = "\n".join(path.read_text(encoding="utf-8") for path in folder.rglob("*.py"))
+    folders = [Path(package.__path__[0]) for package in (lambent_core, lambent_relight)]
+    text = "\n".join(path.read_text(encoding="utf-8") for folder in folders for path in folder.rglob("*.py"))
     found = set(re.findall(rf'"((?:{CLIENT_AREAS})\.[a-z_]+)"', text)) - NO_CODES
     assert found == set(re.findall(rf"`((?:{CLIENT_AREAS})\.[a-z_]+)`", PAGE.read_text(encoding="utf-8")))
