@@ -9,14 +9,16 @@ import lambent_run
 import pytest
 from lambent_core.measured import NOT_USABLE, is_usable, measured, significant
 
-WORKER = Path(lambent_run.__file__).parent
+WORKER = Path(lambent_run.__file__).parents[1]
 SAYING = sorted(
     path
-    for room in ("capture_qa", "poses", "report", "run/tasks", "masks")
-    for path in (WORKER / room).rglob("*.py")
+    for room in ("capture/checks", "capture/poses", "capture/masks", "run/report", "run/run/tasks")
+    for path in (WORKER / f"lambent_{room}").rglob("*.py")
     # Places in a drawing are no figures.
     if path.name != "plot.py"
 )
+
+assert {path.relative_to(WORKER).parts[1] for path in SAYING} == {"checks", "poses", "masks", "report", "run"}
 
 
 def test_figures_are_rounded_as_asked():
