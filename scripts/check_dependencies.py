@@ -6,6 +6,7 @@
 import json
 import re
 import sys
+import sysconfig
 import tomllib
 from collections.abc import Iterable
 from importlib import metadata
@@ -84,7 +85,10 @@ def check() -> list[str]:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pip-licenses"]
     allowed = {each.strip() for each in settings["allow-only"].split(";")}
     pinned = pins((ROOT / "constraints.txt").read_text(encoding="utf-8"))
-    installed = ((canonicalize_name(each.name), each.version) for each in metadata.distributions())
+    # Not all of sys.path: an imported ray adds packages of its own to it.
+    folders = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
+    distributions = metadata.distributions(path=sorted(folders))
+    installed = ((canonicalize_name(each.name), each.version) for each in distributions)
     problems = unpinned(pinned, installed)
     for lock in LOCKS:
         problems += refused(json.loads(lock.read_text(encoding="utf-8")), allowed)
