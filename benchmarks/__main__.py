@@ -38,12 +38,12 @@ SAMPLE = ROOT / "tests" / "data" / "still_life"
 
 def benchmarks() -> dict[str, str]:
     """Return the first docstring line of every benchmark (module with a quick variant) by name."""
-    found = {}
+    programs = {}
     for path in sorted(Path(__file__).parent.glob("*.py")):
         text = path.read_text(encoding="utf-8")
         if "\nQUICK = " in text:
-            found[path.stem] = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
-    return found
+            programs[path.stem] = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
+    return programs
 
 
 def machine() -> dict[str, Any]:
@@ -166,12 +166,12 @@ def compare(old: Path, new: Path) -> int:
     """Print what became worse between two files of claims; return 1 if anything did."""
     before, now = (json.loads(path.read_text(encoding="utf-8")) for path in (old, new))
     print(claims.table(now["claims"]) + "\n")
-    found = claims.worse(before["claims"], now["claims"])
-    for sentence in found:
+    sentences = claims.worse(before["claims"], now["claims"])
+    for sentence in sentences:
         print(f"worse: {sentence}")
-    if not found:
+    if not sentences:
         print(f"no ratio fell by more than {100 * (claims.WORST - 1):.0f} %")
-    return int(bool(found))
+    return int(bool(sentences))
 
 
 def revision() -> str:

@@ -29,11 +29,11 @@ def print_sizes(bundles: list[Bundle]) -> None:
     """Print megabytes (10^6 bytes) by folder and in all, a column per bundle."""
     columns = []
     for bundle in bundles:
-        found: dict[str, float] = defaultdict(float)
+        megabytes: dict[str, float] = defaultdict(float)
         for file in bundle.manifest.files:
-            found[file.path.rpartition("/")[0] or "cameras.json"] += file.size_bytes / 1e6
-        found["manifest.json"] = bundle.source.size_bytes("manifest.json") / 1e6
-        columns.append({**found, "all": sum(found.values())})
+            megabytes[file.path.rpartition("/")[0] or "cameras.json"] += file.size_bytes / 1e6
+        megabytes["manifest.json"] = bundle.source.size_bytes("manifest.json") / 1e6
+        columns.append({**megabytes, "all": sum(megabytes.values())})
     names = [name for name in dict.fromkeys(key for column in columns for key in column) if name != "all"]
     print("| MB | " + " | ".join(bundle.path.name for bundle in bundles) + " |")
     print("| --- |" + " --- |" * len(bundles))

@@ -114,7 +114,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> list[Claim]:
     """Print the table, and return what it says of compiled queries against torch's."""
     torch.set_num_threads(1)
-    found = []
+    rows = []
     print(f"{'preset':7}{'query':20}{'number':>7}  {'compiled':24}{'torch':24}{'ratio':>6}{'apart':>10}")
     for name in arguments.presets:
         for query_name, (count, query) in queries(model_of(name), arguments.rays).items():
@@ -131,5 +131,5 @@ def main(arguments: argparse.Namespace) -> list[Claim]:
                 flush=True,
             )
             sides = ([1e6 * value / count for value in times] for times in (compiled, eager))
-            found.append(claim(f"{query_name}, {name}, without gradients", "us", *sides))
-    return found
+            rows.append(claim(f"{query_name}, {name}, without gradients", "us", *sides))
+    return rows

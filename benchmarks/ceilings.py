@@ -36,7 +36,7 @@ def gather(table: np.ndarray, index: np.ndarray) -> float:
 def ways(scale: float) -> dict[str, tuple[Callable[[], object], float, str]]:
     """Return what is measured by name, the amount of it in one call, and the unit of its rate."""
     rng = np.random.default_rng(0)
-    found: dict[str, tuple[Callable[[], object], float, str]] = {}
+    ceilings: dict[str, tuple[Callable[[], object], float, str]] = {}
 
     def product(rows: int, inner: int, columns: int, calls: int) -> tuple[Callable[[], object], float, str]:
         one, other = torch.randn(rows, inner), torch.randn(inner, columns)
@@ -44,19 +44,23 @@ def ways(scale: float) -> dict[str, tuple[Callable[[], object], float, str]]:
         return (lambda: [one @ other for _ in range(calls)]), amount, "GFLOP/s"
 
     calls = max(1, round(20 * scale))
-    found["product, 1024 x 1024 x 1024"] = product(1024, 1024, 1024, max(1, round(4 * scale)))
-    found[f"product, 8192 x {WIDTH} x {WIDTH}"] = product(8192, WIDTH, WIDTH, 5 * calls)
-    found[f"product, 512 x {WIDTH} x {WIDTH}"] = product(512, WIDTH, WIDTH, 50 * calls)
+    ceilings["product, 1024 x 1024 x 1024"] = product(1024, 1024, 1024, max(1, round(4 * scale)))
+    ceilings[f"product, 8192 x {WIDTH} x {WIDTH}"] = product(8192, WIDTH, WIDTH, 5 * calls)
+    ceilings[f"product, 512 x {WIDTH} x {WIDTH}"] = product(512, WIDTH, WIDTH, 50 * calls)
     large = torch.zeros(max(1, round(5e7 * scale)))
-    found["memory, read and written"] = (lambda: large.add_(1.0)), 8e-9 * large.numel(), "GB/s"
+    ceilings["memory, read and written"] = (lambda: large.add_(1.0)), 8e-9 * large.numel(), "GB/s"
     index = rng.integers(0, 1 << 30, max(1, round(2_000_000 * scale)))
     for name, rows in (("32 KB", 1 << 12), ("1 MB", 1 << 17), ("64 MB", 1 << 23)):
         rows_of, places = rng.random((rows, 2), dtype=np.float32), (index % rows).astype(np.int64)
         run = lambda table=rows_of, at=places: gather(table, at)  # noqa: E731
-        found[f"gather from {name}"] = run, 1e-9 * len(index), "rows per ns"
+        ceilings[f"gather from {name}"] = run, 1e-9 * len(index), "rows per ns"
     few = torch.zeros(8)
     learned = torch.zeros(8, requires_grad=True)
-    found["call without gradient"] = (lambda: [few + few for _ in range(500 * calls)]), 5e-4 * calls, "per us"
+    ceilings["call without gradient"] = (
+        (lambda: [few + few for _ in range(500 * calls)]),
+        5e-4 * calls,
+        "per us",
+    )
 
     def with_gradient() -> None:
         value = learned
@@ -64,8 +68,8 @@ def ways(scale: float) -> dict[str, tuple[Callable[[], object], float, str]]:
             value = value + few
         value.sum().backward()
 
-    found["call with gradient, forward and backward"] = with_gradient, 5e-5 * calls, "per us"
-    return found
+    ceilings["call with gradient, forward and backward"] = with_gradient, 5e-5 * calls, "per us"
+    return ceilings
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -79,10 +83,10 @@ def main(arguments: argparse.Namespace) -> dict[str, Times]:
     torch.set_num_threads(1)
     measured = ways(arguments.scale)
     seconds = in_turns({name: way for name, (way, _, _) in measured.items()}, arguments.turns)
-    found = {}
+    rates = {}
     print("| one core | rate | range |\n| --- | --- | --- |")
     for name, (_, amount, unit) in measured.items():
         rate = times([amount / second for second in seconds[name]])
-        found[f"{name} [{unit}]"] = rate
+        rates[f"{name} [{unit}]"] = rate
         print(f"| {name} | {rate['median']:.3g} {unit} | {rate['low']:.3g} to {rate['high']:.3g} |")
-    return found
+    return rates

@@ -47,13 +47,13 @@ def in_turns(
     """Return the seconds of every way in every turn; each runs once before, and the turns alternate."""
     for way in ways.values():
         way()
-    found: dict[str, list[float]] = {name: [] for name in ways}
+    timings: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(turns):
         for name, way in ways.items():
             began = clock()
             way()
-            found[name].append(clock() - began)
-    return found
+            timings[name].append(clock() - began)
+    return timings
 
 
 def table(claims: Sequence[Claim]) -> str:
@@ -70,9 +70,9 @@ def table(claims: Sequence[Claim]) -> str:
 
 def worse(old: Sequence[Claim], new: Sequence[Claim]) -> list[str]:
     """Return a sentence for every claim that became worse by more than `WORST`, or is gone."""
-    found, before = {one["name"]: one for one in new}, []
+    timings, before = {one["name"]: one for one in new}, []
     for one in old:
-        now = found.get(one["name"])
+        now = timings.get(one["name"])
         if now is None:
             before.append(f"{one['name']}: no longer measured")
         elif not math.isfinite(now["ratio"]) or now["ratio"] * WORST < one["ratio"]:

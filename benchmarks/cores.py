@@ -41,7 +41,7 @@ Step = Callable[[], StepRecord]
 
 def phases(run: Path, spec: RunSpec, warm: int, counts: list[int]) -> dict[tuple[str, int], Step]:
     """Return the step of each phase for each number of threads, on models of their own."""
-    found: dict[tuple[str, int], Step] = {}
+    steps: dict[tuple[str, int], Step] = {}
     with ConsoleReporter(run) as reporter:
         run_pipeline(spec, run, device_for(run), reporter, PREPARATION)
         context = open_task(run, "cache", reporter)
@@ -66,8 +66,8 @@ def phases(run: Path, spec: RunSpec, warm: int, counts: list[int]) -> dict[tuple
             one.steps_done = round(LATE * config.stage_one.num_steps)
             two.steps_done = config.stage_two.warmup_steps
             last.steps_done = config.stage_two.num_steps
-            found |= {(name, count): stage.step for name, stage in zip(PHASES, (one, two, last), strict=True)}
-    return found
+            steps |= {(name, count): stage.step for name, stage in zip(PHASES, (one, two, last), strict=True)}
+    return steps
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -122,8 +122,8 @@ def main(arguments: argparse.Namespace) -> list[Claim]:
         limit = gathers_in(z, grid, arguments.repeats) if device.type == "cpu" else math.nan
         for kind, (compiled, eager) in steps.items():
             ways = {"ours": compiled, "reference": eager}
-            found = in_turns(ways, arguments.repeats, lambda: seconds(device))
-            ours, other = ([1e3 * value for value in found[way]] for way in ways)
+            timings = in_turns(ways, arguments.repeats, lambda: seconds(device))
+            ours, other = ([1e3 * value for value in timings[way]] for way in ways)
             one = claim(f"grid {name}, {kind}", "ms", ours, other)
             claims.append(one)
             fast, slow = one["ours"]["median"], one["reference"]["median"]

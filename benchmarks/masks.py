@@ -41,29 +41,30 @@ def measure(painted: Painted) -> dict[str, object]:
     """Return the overlap of each estimated mask with the true one, or why there is no estimate."""
     began = time.process_time()
     try:
-        found = estimate_masks(painted.views, EstimateSettings())
+        estimated = estimate_masks(painted.views, EstimateSettings())
     except SceneRefusedError as error:
         return {"refused": error.report.findings[0].message, "seconds": time.process_time() - began}
     seconds = time.process_time() - began
-    pairs = zip(found.coverages, painted.coverages, strict=True)
+    pairs = zip(estimated.coverages, painted.coverages, strict=True)
     return {
         "iou": [round(overlap(mine, true), 4) for mine, true in pairs],
-        "agreement": float(np.median(found.consistency.overlap)),
-        "explained": float(np.median(found.consistency.explained)),
-        "separation": float(np.median(found.separation)),
+        "agreement": float(np.median(estimated.consistency.overlap)),
+        "explained": float(np.median(estimated.consistency.explained)),
+        "separation": float(np.median(estimated.separation)),
         "seconds": seconds,
-        "coverages": found.coverages,
+        "coverages": estimated.coverages,
     }
 
 
-def row(scene: str, background: str, found: dict) -> str:
+def row(scene: str, background: str, scores: dict) -> str:
     """Return a line of the table."""
-    if "refused" in found:
-        return f"| {scene} | {background} | refused | | | | {found['seconds']:.0f} |"
-    iou = found["iou"]
+    if "refused" in scores:
+        return f"| {scene} | {background} | refused | | | | {scores['seconds']:.0f} |"
+    iou = scores["iou"]
     return (
         f"| {scene} | {background} | {statistics.mean(iou):.3f} | {statistics.pstdev(iou):.3f} "
-        f"| {min(iou):.3f} | {found['agreement']:.3f} / {found['separation']:.3f} | {found['seconds']:.0f} |"
+        f"| {min(iou):.3f} | {scores['agreement']:.3f} / {scores['separation']:.3f} "
+        f"| {scores['seconds']:.0f} |"
     )
 
 
@@ -85,9 +86,9 @@ def main(options: argparse.Namespace) -> dict[str, dict]:
             if options.only and name not in options.only.split(","):
                 continue
             painted = paint(scene, background, options.every)
-            found = measure(painted)
-            print(row(scene.name, name, found), flush=True)
-            coverages = found.pop("coverages", painted.coverages)
+            scores = measure(painted)
+            print(row(scene.name, name, scores), flush=True)
+            coverages = scores.pop("coverages", painted.coverages)
             contact_sheet(painted.views, coverages).save(options.out / f"{scene.name}_{name}.jpg", quality=85)
-            record[f"{scene.name}/{name}"] = found
+            record[f"{scene.name}/{name}"] = scores
     return record

@@ -58,13 +58,13 @@ def measure(name: str, stage: str, factor: int) -> int:
 
     def made(rays: int) -> StageOne | StageTwo:
         if stage == "cache":
-            found: StageOne | StageTwo = StageOne(
+            trained: StageOne | StageTwo = StageOne(
                 model, pixels, replace(config.stage_one, num_rays=rays), seed=0
             )
         else:
-            found = StageTwo(model, pixels, replace(config.stage_two, num_rays=rays), seed=0)
-        found.steps_done = round(LATE * found.config.num_steps)
-        return found
+            trained = StageTwo(model, pixels, replace(config.stage_two, num_rays=rays), seed=0)
+        trained.steps_done = round(LATE * trained.config.num_steps)
+        return trained
 
     small = made(8)
     small.step()  # Compiles kernels and creates the moments.
@@ -97,7 +97,7 @@ def main(arguments: argparse.Namespace) -> list[dict[str, float | str]]:
     print("| preset | stage | rays | estimated [MB] | measured [MB] | ratio |\n" + "| --- " * 6 + "|")
     for name in arguments.presets:
         config = config_of(name, arguments.factor)
-        estimates = {found.stage: found.activations for found in estimate(config)}
+        estimates = {one.stage: one.activations for one in estimate(config)}
         for stage in STAGES:
             command = [sys.executable, "-m", "benchmarks", "memory_model", "--factor", str(arguments.factor)]
             command += ["--measure", name, stage, "-o", str(arguments.out / f"{name}_{stage}")]

@@ -137,20 +137,20 @@ def measure_apart(arguments: argparse.Namespace, stage: str, share: int) -> dict
     )
 
 
-def describe(found: dict[str, Any]) -> str:
+def describe(step: dict[str, Any]) -> str:
     """Return one line about a measurement."""
-    steps = ", ".join(f"{seconds:.2f}" for seconds in found["seconds"])
-    rest = f"peak {found['peak'] / GIB:.2f} GiB, {found['skipped']} skipped"
-    return f"stage {found['stage']}, {found['rays']} rays: steps of {steps} s, {rest}"
+    steps = ", ".join(f"{seconds:.2f}" for seconds in step["seconds"])
+    rest = f"peak {step['peak'] / GIB:.2f} GiB, {step['skipped']} skipped"
+    return f"stage {step['stage']}, {step['rays']} rays: steps of {steps} s, {rest}"
 
 
-def describe_estimate(found: MemoryEstimate) -> str:
+def describe_estimate(estimate: MemoryEstimate) -> str:
     """Return one line with the result of the memory model."""
     names = ("parameters", "gradients", "moments", "activations")
-    sizes = ", ".join(f"{name} {getattr(found, name) / GIB:.2f}" for name in names)
-    stage = STAGES[("cache", "joint").index(found.stage)]
-    count = f"{found.num_parameters / 1e6:.1f} M parameters"
-    return f"  stage {stage}: {found.total / GIB:.2f} GiB ({sizes}; {count})"
+    sizes = ", ".join(f"{name} {getattr(estimate, name) / GIB:.2f}" for name in names)
+    stage = STAGES[("cache", "joint").index(estimate.stage)]
+    count = f"{estimate.num_parameters / 1e6:.1f} M parameters"
+    return f"  stage {stage}: {estimate.total / GIB:.2f} GiB ({sizes}; {count})"
 
 
 def on_processor(arguments: argparse.Namespace, whole: Config, config: Config) -> None:
@@ -163,7 +163,7 @@ def on_processor(arguments: argparse.Namespace, whole: Config, config: Config) -
         ("the whole batch, on a GPU", whole, "cuda"),
     ):
         print(f"memory model of {title}:")
-        print(*(describe_estimate(found) for found in estimate(one, device=device)), sep="\n")
+        print(*(describe_estimate(step) for step in estimate(one, device=device)), sep="\n")
 
 
 def on_gpu(arguments: argparse.Namespace, scene: Scene, config: Config, device: torch.device) -> None:
@@ -216,18 +216,18 @@ def shortened(config: Config, steps: int) -> Config:
 def figures(model: InverseModel, scene: Scene, views: tuple, *, physical: bool) -> dict[str, float]:
     """Return the PSNR over white in encoded values of the cache's and the physically based pictures."""
     light = scene.lights[0]
-    found: dict[str, list[float]] = {"cache [dB]": []}
+    scores: dict[str, list[float]] = {"cache [dB]": []}
     for view in views:
         image = view.images[light]
         truth = over_white(encoded(image[..., :3], image[..., 3:]))
         buffer = render_gbuffer(model, view.camera)
         straight = buffer.cache_rgb / np.maximum(buffer.opacity, 1e-6)
-        found["cache [dB]"].append(psnr(over_white(encoded(straight, buffer.opacity)), truth))
+        scores["cache [dB]"].append(psnr(over_white(encoded(straight, buffer.opacity)), truth))
         if physical:
             seen = render_physical(model, view.camera)
             score = psnr(over_white(encoded(seen.rgb, seen.opacity)), truth)
-            found.setdefault("physically based [dB]", []).append(score)
-    return {name: float(np.mean(values)) for name, values in found.items()}
+            scores.setdefault("physically based [dB]", []).append(score)
+    return {name: float(np.mean(values)) for name, values in scores.items()}
 
 
 def plot(points: list[dict[str, Any]], path: Path, title: str) -> None:

@@ -56,12 +56,12 @@ PICTURES = (".png", ".jpg", ".jpeg")
 
 
 def camera_scores(
-    found: dict[str, Float[ndarray, "4 4"]], capture: Path, photographs: str
+    solved: dict[str, Float[ndarray, "4 4"]], capture: Path, photographs: str
 ) -> dict[str, float]:
-    """Return the share of registered photographs and the errors of their cameras; `found` is by stem."""
+    """Return the share of registered photographs and the errors of their cameras; `solved` is by stem."""
     true = true_cameras(capture)
     stems = {path.stem for path in (capture / photographs).iterdir()}
-    common = sorted(stems & set(found))
+    common = sorted(stems & set(solved))
     scores = {
         "photographs": len(stems),
         "registered": len(common),
@@ -70,7 +70,7 @@ def camera_scores(
     if len(common) < 3:
         return scores
     rotation, centre = pose_errors(
-        np.array([found[stem] for stem in common]), np.array([stored_pose(true[stem]) for stem in common])
+        np.array([solved[stem] for stem in common]), np.array([stored_pose(true[stem]) for stem in common])
     )
     return scores | {
         "rotation_deg_median": float(np.median(rotation)),
@@ -101,15 +101,15 @@ def mask_scores(masks: Path, capture: Path) -> dict[str, Any]:
     A mask of another size is brought to the truth's. Raises `SystemExit` where no mask has a true one.
     """
     truth = {path.stem: path for path in (capture / "truth" / "masks").glob("*.png")}
-    found = {
+    scores = {
         path.name.partition(".")[0]: path for path in sorted(masks.rglob("*")) if path.suffix in PICTURES
     }
-    common = sorted(set(truth) & set(found))
+    common = sorted(set(truth) & set(scores))
     if not common:
         raise SystemExit(f"no picture in {masks} is named like a photograph of {capture.name}")
     iou = {}
     for stem in common:
-        true, mine = read_coverage(truth[stem]), read_coverage(found[stem])
+        true, mine = read_coverage(truth[stem]), read_coverage(scores[stem])
         true = as_stored(true, true_cameras(capture)[stem]["orientation"])
         if mine.shape != true.shape:
             resized = Image.fromarray(mine.astype(np.float32)).resize(
@@ -133,11 +133,11 @@ def bundle_to_truth(run: Path, capture: Path) -> Similarity:
     # Where masks were estimated, the box around the object has been fitted to them.
     fitted = run / "estimated_masks" / MANIFEST
     frames = read_record(fitted if fitted.is_file() else run / "scene" / MANIFEST).get("frames", [])
-    found = {Path(frame["name"]).name.partition(".")[0]: frame["camera"] for frame in frames}
-    common = sorted(set(true) & set(found))
+    cameras = {Path(frame["name"]).name.partition(".")[0]: frame["camera"] for frame in frames}
+    common = sorted(set(true) & set(cameras))
     if len(common) < 3:
-        raise SystemExit(f"the cameras of {run} are not those of {capture.name}: {sorted(found)[:5]}")
-    centres = np.array([np.reshape(found[stem]["camera_to_world"], (4, 4))[:3, 3] for stem in common])
+        raise SystemExit(f"the cameras of {run} are not those of {capture.name}: {sorted(cameras)[:5]}")
+    centres = np.array([np.reshape(cameras[stem]["camera_to_world"], (4, 4))[:3, 3] for stem in common])
     return similarity(centres, np.array([pose(true[stem])[:3, 3] for stem in common]))
 
 
@@ -170,12 +170,12 @@ def median_ratio(renderer: Renderer, views: list[HeldOut], cameras: list[Camera]
         coverage = next(iter(view.relit.values()))[..., 3].reshape(-1)
         inside = (coverage > 0.99) & (np.asarray(seen.opacity).reshape(-1) > 0.9)
         ratios.append(view.albedo.reshape(-1, 3)[inside] / np.maximum(seen.albedo[inside], 1e-6))
-    found = np.concatenate(ratios)
-    if not len(found):
+    all_ratios = np.concatenate(ratios)
+    if not len(all_ratios):
         raise SystemExit(
             "the bundle's object and the true one cover no pixel in common; are its cameras right?"
         )
-    return np.median(found, axis=0)
+    return np.median(all_ratios, axis=0)
 
 
 def relight_scores(run: Path, capture: Path, options: argparse.Namespace) -> dict[str, Any]:
@@ -188,18 +188,18 @@ def relight_scores(run: Path, capture: Path, options: argparse.Namespace) -> dic
     ratio = median_ratio(renderer, views, cameras)
     scores: dict[str, Any] = {"albedo_ratio": ratio.tolist()}
     for name, light in lights.items():
-        turned, found = turned_light(light, to_truth.rotation), []
+        turned, decibels = turned_light(light, to_truth.rotation), []
         for view, camera in zip(views, cameras, strict=True):
             picture = renderer.render(
                 camera, turned, spp=options.samples, albedo_ratio=ratio, seed=options.seed
             )
             mine = over_white(picture.rgb * picture.opacity, picture.opacity)
             true = over_white(view.relit[name][..., :3], view.relit[name][..., 3:])
-            found.append(psnr(mine, true))
+            decibels.append(psnr(mine, true))
             both = np.concatenate([mine, true], axis=1)
             sheet = Image.fromarray(np.round(255.0 * both).astype(np.uint8))
             sheet.save(options.out / f"{capture.name}_{run.parent.name}_{view.name}_{name}.png")
-        scores[f"relit_{name}_db"] = statistics.mean(found)
+        scores[f"relit_{name}_db"] = statistics.mean(decibels)
     scores["relit_db"] = statistics.mean(scores[f"relit_{name}_db"] for name in lights)
     return scores
 
@@ -216,7 +216,7 @@ def solved_here(capture: Path, options: argparse.Namespace) -> Path | None:
 
 
 def score(capture: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """Return the scores of everything that is there for a capture."""
+    """Return the scores of every result of a capture."""
     scores: dict[str, Any] = {}
     if options.run:
         run = _of(options.run, capture)
@@ -230,8 +230,8 @@ def score(capture: Path, options: argparse.Namespace) -> dict[str, Any]:
         if not options.cameras:
             scores |= {"solve_s": time.perf_counter() - began, "solve_cpu_s": time.process_time() - cpu}
     if cameras is not None and cameras.is_dir():
-        found = solved_cameras(cameras, capture / options.few)
-        scores |= camera_scores(found, capture, options.few)
+        solved = solved_cameras(cameras, capture / options.few)
+        scores |= camera_scores(solved, capture, options.few)
         recorded = read_record(cameras / CAMERAS_FILE) or read_record(cameras / RECORD)
         if "reprojection_error_px" in recorded:
             scores["reprojection_error_px"] = recorded["reprojection_error_px"]

@@ -150,7 +150,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--spp", type=int, default=8)
     parser.add_argument("--repeats", type=float, default=1.0, help="of the floor's pattern")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", action="store_true", help="use the photographs that are there")
+    parser.add_argument("--keep", action="store_true", help="use the photographs of an earlier call")
 
 
 def main(options: argparse.Namespace) -> dict[str, dict]:
@@ -171,8 +171,8 @@ def main(options: argparse.Namespace) -> dict[str, dict]:
         manifest = describe_scene(target)
         frames = {frame.images[0].path.removeprefix("images/"): frame for frame in manifest.frames}
         common = [key for key in true if key in frames]
-        found = np.array([np.array(frames[key].camera.camera_to_world).reshape(4, 4) for key in common])
-        rotation, centre = pose_errors(found, np.array([true[key] for key in common]))
+        estimated = np.array([np.array(frames[key].camera.camera_to_world).reshape(4, 4) for key in common])
+        rotation, centre = pose_errors(estimated, np.array([true[key] for key in common]))
         focal = 0.5 * options.side / np.tan(np.radians(0.5 * FIELD_DEG))
         rows[name] = {
             "registered": record["registered"],

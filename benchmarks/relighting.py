@@ -101,8 +101,8 @@ def print_bounce_gain(
                 spent += time.process_time() - started
                 truth = view.images[light]
                 wanted = encoded_over_white(truth[..., :3], truth[..., 3:])
-                found = encoded_over_white(picture.rgb, picture.opacity)
-                errors.append(float(np.mean((found - wanted) ** 2)))
+                shown = encoded_over_white(picture.rgb, picture.opacity)
+                errors.append(float(np.mean((shown - wanted) ** 2)))
                 inside = picture.opacity[..., 0] > 0.9
                 error = picture.standard_error[inside].mean(axis=-1)
                 noise.append(float(np.median(error / picture.rgb[inside].mean(axis=-1))))

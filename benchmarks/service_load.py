@@ -171,14 +171,14 @@ def load(server: LiveServer, *, streams: int, senders: int, seconds: float, rate
 
 def newest(server: LiveServer, before: set[str]) -> list[str]:
     """Return the jobs that were submitted since."""
-    found: list[str] = []
+    ids: list[str] = []
     cursor = ""
     while True:
         page = server.client.get(f"/v1/jobs?limit=100{cursor}").raise_for_status().json()
         fresh = [job["id"] for job in page["items"] if job["id"] not in before]
-        found += fresh
+        ids += fresh
         if len(fresh) < len(page["items"]) or not page["next_cursor"]:
-            return found
+            return ids
         cursor = f"&cursor={page['next_cursor']}"
 
 

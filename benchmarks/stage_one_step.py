@@ -90,6 +90,6 @@ def main(arguments: argparse.Namespace) -> list[Claim]:
             seconds["compiled"].append(one)
             seconds["eager"].append(other)
     print(f"preset {name}, {steps} steps each, {arguments.threads} threads, torch {torch.__version__}")
-    found = claim(f"stage one step, {name}", "s", seconds["compiled"], seconds["eager"])
-    print(table([found]))
-    return [found]
+    timings = claim(f"stage one step, {name}", "s", seconds["compiled"], seconds["eager"])
+    print(table([timings]))
+    return [timings]

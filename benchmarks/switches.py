@@ -4,7 +4,7 @@
 
 Stage one is trained once per seed. Each switch then gets a run folder of its own with the shared NeRF cache
 in it; its stage two is trained and evaluated, and scored by `tests/references/evaluate.py`. Results are kept
-in OUT/<switch>_<seed>/; a run that is there is not repeated. Seconds are those of stage two alone. With
+in OUT/<switch>_<seed>/; a finished run is not repeated. Seconds are those of stage two alone. With
 `--variant 'NAME: KEY=VALUE ...'` settings of your own are compared in place of the switches.
 """
 
@@ -97,10 +97,10 @@ def table(runs: dict[str, list[dict[str, float]]]) -> str:
     """Return a table: a row per switch, means over seeds, with what changed against "base" in brackets."""
     rows = list(next(iter(runs.values()))[0])
     lines = [f"| switch | {' | '.join(rows)} |", f"| --- |{' --- |' * len(rows)}"]
-    for name, found in runs.items():
+    for name, outcomes in runs.items():
         cells = []
         for row in rows:
-            mean = statistics.fmean(run[row] for run in found)
+            mean = statistics.fmean(run[row] for run in outcomes)
             change = ""
             if name != "base" and "base" in runs:
                 change = f" ({mean - statistics.fmean(run[row] for run in runs['base']):+.2f})"

@@ -9,7 +9,7 @@ each scene; about `--marks` times on the way, evenly spaced in steps, the cache'
 that of the steps and of what they need before (visual hull, pixels), without reading the capture: `--clock`
 says whether the wall's, on all cores, or that of one process on the processor, which tells little of a busy
 neighbour.
-Curves are kept in OUT/<scene>_<variant>_<seed>.json, and one that is there is not repeated. Prints the mean
+Curves are kept in OUT/<scene>_<variant>_<seed>.json, and a finished one is not repeated. Prints the mean
 seconds to each of `--levels` [dB] and the last figures.
 """
 
@@ -79,8 +79,8 @@ def quality(model: InverseModel, scene: Scene, views: int) -> tuple[float, float
         truth = view.images[light]
         buffer = render_surface(model, view.camera, antialias=ANTIALIAS)
         straight = buffer.cache_rgb / np.maximum(buffer.opacity, 1e-6)
-        found = over_white(encoded(straight, buffer.opacity))
-        difference = found - over_white(encoded(truth[..., :3], truth[..., 3:]))
+        shown = over_white(encoded(straight, buffer.opacity))
+        difference = shown - over_white(encoded(truth[..., :3], truth[..., 3:]))
         # What was cut off is white in both.
         errors.append(float(np.square(difference).mean()) * truth[..., 3].size / _frame(view))
         if "normal" in view.truth:

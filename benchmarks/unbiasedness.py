@@ -77,8 +77,8 @@ def means(
     began = time.process_time()
     for call in range(calls):
         generator = generator_for(0, "benchmark", call, purpose, batch.rays.origins.device)
-        (found,) = shade(model, config, batch, geometry, generator, supervise=False).pictures
-        value = found.mean(dim=-1).double().cpu().numpy()
+        (picture,) = shade(model, config, batch, geometry, generator, supervise=False).pictures
+        value = picture.mean(dim=-1).double().cpu().numpy()
         total += value
         squares += value**2
     mean = total / calls
@@ -152,8 +152,8 @@ def plot(verdicts: dict[str, Verdict], path: Path) -> None:
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
     edges = np.linspace(-8.0, 8.0, 33)
     middle = np.linspace(-8.0, 8.0, 400)
-    for (name, found), colour in zip(verdicts.items(), ("tab:blue", "tab:orange"), strict=True):
-        z = np.sort(found.z)
+    for (name, verdict), colour in zip(verdicts.items(), ("tab:blue", "tab:orange"), strict=True):
+        z = np.sort(verdict.z)
         left.hist(z.clip(-8.0, 8.0), edges, density=True, alpha=0.55, color=colour, label=name)
         right.plot(stats.norm.ppf((np.arange(len(z)) + 0.5) / len(z)), z, ".", color=colour, label=name)
     left.plot(middle, stats.norm.pdf(middle), color="black", label="standard normal")
@@ -188,11 +188,11 @@ def main(arguments: argparse.Namespace) -> dict[str, dict]:
     )
     heads = ("chi-square", "Kolm.-Smirn.", "bias", "per pixel", "time [s]")
     print(f"{'estimator':18}{heads[0]:>12}{heads[1]:>14}{heads[2]:>20}{heads[3]:>11}{heads[4]:>10}")
-    for name, found in verdicts.items():
-        bias = f"{100 * found.bias:+.2f} % +- {100 * found.bias_error:.2f}"
+    for name, verdict in verdicts.items():
+        bias = f"{100 * verdict.bias:+.2f} % +- {100 * verdict.bias_error:.2f}"
         print(
-            f"{name:18}{found.chi_square:12.2g}{found.kolmogorov_smirnov:14.2g}{bias:>20}"
-            f"{100 * found.precision:9.2f} %{found.seconds:10.0f}"
+            f"{name:18}{verdict.chi_square:12.2g}{verdict.kolmogorov_smirnov:14.2g}{bias:>20}"
+            f"{100 * verdict.precision:9.2f} %{verdict.seconds:10.0f}"
         )
     plot(verdicts, arguments.out / "unbiasedness.png")
-    return {name: asdict(found) for name, found in verdicts.items()}
+    return {name: asdict(verdict) for name, verdict in verdicts.items()}

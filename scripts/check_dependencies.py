@@ -27,7 +27,7 @@ _LOOKED_UP = {"buildcheck": "MIT", "cpu-features": "MIT"}
 
 def pins(text: str) -> dict[str, str]:
     """Return the versions in the text of constraints.txt by canonical name; ValueError for any other line."""
-    found: dict[str, str] = {}
+    versions: dict[str, str] = {}
     for line in text.splitlines():
         stated = line.partition("#")[0].strip()
         if not stated:
@@ -36,10 +36,10 @@ def pins(text: str) -> dict[str, str]:
         if match is None:
             raise ValueError(f"constraints.txt: {stated!r} pins no version")
         name = canonicalize_name(match[1])
-        if name in found:
+        if name in versions:
             raise ValueError(f"constraints.txt: {name} is pinned twice")
-        found[name] = match[2]
-    return found
+        versions[name] = match[2]
+    return versions
 
 
 def required() -> set[str]:
@@ -97,8 +97,8 @@ def check() -> list[str]:
 
 if __name__ == "__main__":
     try:
-        found = check()
+        problems = check()
     except ValueError as error:
-        found = [str(error)]
-    print("\n".join(found) or "every dependency is pinned, and every npm package has an allowed licence")
-    sys.exit(bool(found))
+        problems = [str(error)]
+    print("\n".join(problems) or "every dependency is pinned, and every npm package has an allowed licence")
+    sys.exit(bool(problems))

@@ -21,12 +21,12 @@ def anchors(text: str) -> set[str]:
 
 def links(page: Path) -> list[tuple[str, Path, str]]:
     """Return (as written, file, fragment) of every link of `page` that stays in the repository."""
-    found = []
+    targets = []
     for target in _LINK.findall(_CODE.sub("", page.read_text(encoding="utf-8"))):
         if not _OUTSIDE.match(target):
             name, _, fragment = target.partition("#")
-            found.append((target, (page.parent / name).resolve() if name else page, fragment))
-    return found
+            targets.append((target, (page.parent / name).resolve() if name else page, fragment))
+    return targets
 
 
 def broken_links(page: Path) -> list[str]:

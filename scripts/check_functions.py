@@ -1,7 +1,8 @@
 """Fail for functions that are hard to read: more than 60 lines, or more than 8 parameters.
 
 Decorators and docstrings do not count, nor do `self` and `cls`. A module of under 25 lines belongs to its
-neighbour, unless it is a registry. `OWED` has what was there before: it may only get shorter.
+neighbour, unless it is a registry. `OWED` lists the
+places that are older than the rule: it may only get shorter.
 """
 
 import ast
@@ -63,13 +64,13 @@ def count_parameters(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 
 def problems(sources: dict[str, str]) -> dict[str, str]:
     """Return what is wrong with modules, by the place of it."""
-    found = {}
+    wrong = {}
     for path, text in sources.items():
-        found |= dict(problems_of(path, text))
+        wrong |= dict(problems_of(path, text))
         lines = len(text.splitlines())
         if lines < MIN_MODULE and not path.endswith(REGISTRIES):
-            found[path] = f"{lines} lines, at least {MIN_MODULE} are expected; join it with its subject"
-    return found
+            wrong[path] = f"{lines} lines, at least {MIN_MODULE} are expected; join it with its subject"
+    return wrong
 
 
 def tracked(*patterns: str) -> list[Path]:
@@ -83,12 +84,12 @@ def main() -> int:
     """Print what is wrong and is not owed, and what is owed no more; return the exit status."""
     paths = tracked(*(f"{folder}/*.py" for folder in FOLDERS))
     sources = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in paths}
-    found = problems({p: t for p, t in sources.items() if not any(fnmatch(p, each) for each in GENERATED)})
+    wrong = problems({p: t for p, t in sources.items() if not any(fnmatch(p, each) for each in GENERATED)})
     if "--write" in sys.argv:
-        OWED.write_text("".join(f"{place}\n" for place in sorted(found)), encoding="utf-8")
+        OWED.write_text("".join(f"{place}\n" for place in sorted(wrong)), encoding="utf-8")
     owed = set(OWED.read_text(encoding="utf-8").split())
-    new = [f"{place}: {found[place]}" for place in sorted(found.keys() - owed)]
-    done = [f"{place}: no longer owed; take it out of {OWED.name}" for place in sorted(owed - found.keys())]
+    new = [f"{place}: {wrong[place]}" for place in sorted(wrong.keys() - owed)]
+    done = [f"{place}: no longer owed; take it out of {OWED.name}" for place in sorted(owed - wrong.keys())]
     print("\n".join(new + done) or f"functions of {len(sources)} modules, {len(owed)} places owed")
     return bool(new or done)
 

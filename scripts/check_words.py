@@ -18,12 +18,12 @@ PHRASES = {
     r"(?:is|are|was|were|be|been|database|store|server|disk|away or) away(?! from)\b": "unavailable, gone",
     r"(?:what|that|who|which|where \w+|nothing) (?:is|are|was|were) there\b(?! (?:an?|any|no)\b)": "exists",
     r"(?:go|goes|going|gone|went) on\b(?! (?:a|the|to the)\b)": "continue",
-    r"(?:is|are|was|were|be|been|being) told\b": "receives, knows, is reported",
-    r"(?<!there )(?:is|are|was|were) no (?!longer|more|less|fewer|better|worse|different)": "is not a",
+    r"(?:is|are|was|were|be|been|being) told\b(?! (?:apart|from|to))": "receives, knows, is reported",
+    r"(?<!there )(?:is|are|was|were) no (?!more|less|worse|different|\w+er\b)": "is not a",
     r"(?:somebody|anybody)\b": "a user, someone, the name of the role",
     r"nobody's\b": "no user's, belongs to no one",
     r"(?:is|are|was|were|be) (?:asked|believed)\b(?! (?:for|to)\b)": "is called, is used, is trusted",
-    r"stands? (?:in|at|there|here|beside|between|before|after)\b": "is",
+    r"stands? (?:in(?! for)|at|there|here|beside|between|before|after)\b": "is",
     r"lies? (?:there|here|beside)\b": "is",
     r"looked after\b": "managed",
     r"turns? forth\b": "turns forward",
@@ -34,7 +34,9 @@ QUESTION = re.compile(r"(?:What|Whether|Which|Who|Whose|How|Where|When)\b")
 _PHRASES = [(re.compile(rf"\b{phrase}", re.IGNORECASE), better) for phrase, better in PHRASES.items()]
 NAMES = {"found": "the thing that was found"}
 """Names that say nothing, and what to name instead."""
+# The page of tests repeats their names.
 SKIPPED = (
+    "testing.md",
     "*_pb2.py",
     "*_pb2.pyi",
     "*_pb2_grpc.py",

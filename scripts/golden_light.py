@@ -136,8 +136,8 @@ def axes_numbers() -> dict[str, Any]:
             image = np.zeros((8, 16, 3), np.float32)
             image[row, column] = 1.0
             ours = environment_axes.from_axes(Environment(image), axes).radiance[..., 0]
-            found = np.unravel_index(int(np.argmax(ours)), ours.shape)
-            direction = rounded(pixel_directions(8, 16)[found])
+            brightest = np.unravel_index(int(np.argmax(ours)), ours.shape)
+            direction = rounded(pixel_directions(8, 16)[brightest])
             cases.append({"axes": axes, "row": row, "column": column, "direction": direction})
     return {
         "about": "Lit pixels of 8 x 16 maps in other layouts, and where they shine from.",
@@ -156,15 +156,15 @@ def numbers() -> dict[str, dict[str, Any]]:
     }
 
 
-def equal(found: Any, expected: Any) -> bool:
+def equal(actual: Any, expected: Any) -> bool:
     """Return whether two contents agree, numbers within 1e-6 of each other and of their size."""
     if isinstance(expected, dict):
-        return found.keys() == expected.keys() and all(equal(found[k], expected[k]) for k in expected)
+        return actual.keys() == expected.keys() and all(equal(actual[k], expected[k]) for k in expected)
     if isinstance(expected, list):
-        return len(found) == len(expected) and all(map(equal, found, expected))
+        return len(actual) == len(expected) and all(map(equal, actual, expected))
     if isinstance(expected, float):
-        return abs(found - expected) <= 1e-6 * max(1.0, abs(expected))
-    return found == expected
+        return abs(actual - expected) <= 1e-6 * max(1.0, abs(expected))
+    return actual == expected
 
 
 def main(arguments: list[str]) -> int:

@@ -51,7 +51,7 @@ class Mutant:
     symbol: str = ""
     """The end of the full name of what the passage is in, such as `stage_two.StageTwo.step`."""
     file: str = ""
-    """Instead of a symbol: path of a file from the repository's root, for text that is no code of Python."""
+    """Instead of a symbol: path of a file from the repository's root, for text that is not Python code."""
 
     @property
     def place(self) -> Path:

@@ -144,7 +144,7 @@ class World(FlippedBits):
         else:
             possible["the database locked"] = self.lock_database
         if self.s3 is not None:
-            possible["the store away"] = self.take_store_away
+            possible["the store unavailable"] = self.take_store_away
         return possible
 
     def set_clock(self, seconds: int) -> None:

@@ -214,7 +214,7 @@ def test_a_killed_server_finds_its_runs_again_by_name_and_none_is_restarted(
     end.touch()
     found = [server.wait(job) for job in jobs]
     assert [(job["state"], job["run"]) for job in found] == [("succeeded", 1)] * 3
-    # Whole, although one server began it and another went on.
+    # Whole, although one server began it and another continued.
     for job in jobs:
         assert first_steps(server, job) == [0]
     wait_for(lambda: not nodes.actors())

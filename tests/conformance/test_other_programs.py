@@ -1,4 +1,4 @@
-"""What other programs make of our exports: Cycles and Mitsuba draw what we draw, and ARKit's rules hold.
+"""Our exports in other programs: Cycles and Mitsuba draw what we draw, and ARKit's rules hold.
 
 Blender and the checker of ARKit's rules need environments of their own: `make test-programs` makes them, and
 without LAMBENT_PROGRAMS these tests are skipped.

@@ -24,11 +24,11 @@ SCHEMAS = describe()["components"]["schemas"]
 TEXTS = {
     "a NUL": "%00",
     "a NUL inside": "job_%00x",
-    "a byte that is no UTF-8": "%ff",
+    "a byte that is not a UTF-8": "%ff",
     "half of a surrogate pair": "%ed%a0%80",
     "an overlong slash": "%c0%af",
     "a line break": "a%0d%0ab",
-    "a letter that is no ASCII": "%c3%a9",
+    "a letter that is not an ASCII": "%c3%a9",
     "a letter beyond the first plane": "%f0%9f%98%80",
     "an integer of 64 bits": "9223372036854775807",
     "a larger integer": "9" * 400,
@@ -46,7 +46,7 @@ JSON = {
     "a NUL": r'"a\u0000b"',
     "half of a surrogate pair": r'"\ud800"',
     "the other half": r'"\udfff\ud800"',
-    "bytes that are no UTF-8": '"\udcff"',
+    "bytes that are not UTF-8": '"\udcff"',
     "a control character": r'"\u0001\u001b\u007f"',
     "letters": r'"é😀\u202e\u200b\ufeff"',
     "an integer of 64 bits": "9223372036854775807",
@@ -61,7 +61,7 @@ JSON = {
     "lists in lists": "[" * 900 + "]" * 900,
     "lists in too many lists": "[" * 200_000,
     "objects in objects": '{"a":' * 900 + "1" + "}" * 900,
-    "a name that is no text": r'{"\ud800":"a","\u0000":"b"}',
+    "a name that is not a text": r'{"\ud800":"a","\u0000":"b"}',
     "a name with text": r'{"a":"\u0000"}',
     "a list of text": r'["\u0000","\ud800"]',
 }
@@ -83,7 +83,7 @@ def known(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def assert_refused_or_taken(answer: Any, *about: Any) -> None:
-    """Check that an answer is no failure of the server, and a whole document."""
+    """Check that an answer is not a failure of the server, and a whole document."""
     assert answer.status_code < 500 or answer.json()["code"] == "decoder_busy", (*about, answer.text[:500])
     if answer.status_code >= 400 and answer.content:
         assert b"not_authenticated" not in answer.content, about
@@ -192,7 +192,7 @@ def test_no_body_makes_the_server_fail(known: Any, path: str, method: str):
     for place in places:
         text = json.dumps(with_mark(body, place))
         for title, value in JSON.items():
-            # Bytes that are no UTF-8 come as half of a pair here.
+            # Bytes that are not UTF-8 come as half of a pair here.
             sent = text.replace(f'"{MARK}"', value).encode("utf-8", "surrogateescape")
             headers = {"content-type": "application/json"}
             answer = send(api, method, path.format(**ids), content=sent, headers=headers)

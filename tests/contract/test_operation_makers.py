@@ -6,7 +6,7 @@ DATA = "belongs to the organisation, and gives nobody access"
 ENDS = {
     "POST /v1/login": "with the maker of its link, and with the session in which that was made",
     "POST /v1/login-links": "as the session that it opens",
-    "POST /v1/me:switch": "with the sign-in that it goes on from",
+    "POST /v1/me:switch": "with the sign-in that it continues from",
     "POST /v1/keys": "with the key that made it",
     "POST /v1/keys/{key_id}:rotate": "as the key that it replaces",
     "POST /v1/bundles/{bundle_id}/shares": "with its maker",

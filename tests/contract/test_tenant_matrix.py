@@ -1,4 +1,4 @@
-"""What is another tenant's answers as what does not exist: every operation, every kind of id."""
+"""Another tenant's things answer like things that do not exist: every operation, every kind of id."""
 
 import json
 import os

@@ -111,7 +111,7 @@ def test_photographs_become_a_relit_picture_although_the_run_is_killed_once(trai
     assert trained.killed_at, "training ended before it could be killed"
     assert trained.job.run == 2
     trained_on = [step for step in trained.steps_after if step > 1]
-    assert trained_on[0] >= trained.killed_at - 100, "the second run went on from the last checkpoint"
+    assert trained_on[0] >= trained.killed_at - 100, "the second run continued from the last checkpoint"
     bundle = trained.bundle
 
     views = [truth.read_view(SAMPLE / name, (TRAIN_LIGHT, UNSEEN_LIGHT)) for name in ("test_000", "test_003")]

@@ -190,7 +190,7 @@ def test_what_a_server_cannot_make_is_listed_with_exit_code_one(client, bundle_i
     write_batch(tmp_path, bundle_id, environments=["sky.exr", "broken.exr"], name="partly")
     assert run_batch(tmp_path, "--server", "--shards", "1") == 1
     told = [line for line in capsys.readouterr().err.splitlines() if "environment.unusable_values" in line]
-    assert len(told) == 6, "each failure is told once"
+    assert len(told) == 6, "each failure is reported once"
     found = states(tmp_path)
     assert {name.split("/")[1] for name, state in found.items() if state == "failed"} == {"broken"}
     assert sorted(found.values()) == ["failed"] * 6 + ["made"] * 6

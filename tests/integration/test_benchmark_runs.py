@@ -35,7 +35,7 @@ class Made:
 
     out: Path
     first_results: dict[str, int]
-    """Time of every result that was there when the first start was killed."""
+    """Time of every result that existed when the first start was killed."""
     second: subprocess.CompletedProcess[str]
 
     def results(self) -> list[Path]:

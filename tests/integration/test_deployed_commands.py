@@ -119,12 +119,12 @@ def test_jobs_run_through_all_services_of_all_files(world: World):
     homes = [path.relative_to(world.folder).parts[0] for path in runs]
     assert sorted(homes) == sorted([*runners, "pod-lambent-worker-gpu"])
 
-    # The first server dies. Its jobs are nobody's loss, and every other one answers in its place.
+    # The first server dies. No job is lost, and every other server answers in its place.
     world.servers["server"].process.kill()
     world.servers["server"].process.wait()
     with client(world, "controller") as other:
         assert {other.job(job)["state"] for job in jobs} == {"running"}
-        # A worker is stopped as its container is: its run writes a checkpoint, and the job goes on elsewhere.
+        # A worker stops as its container does: its run writes a checkpoint; the job continues elsewhere.
         assert world.servers["worker-cpu"].end() == 0
         moved = next(job for job in jobs if (world.folder / "worker-cpu/data/runs" / job).exists())
         later = other.submit(scene, num_steps=3)

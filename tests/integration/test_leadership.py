@@ -1,4 +1,4 @@
-"""Who leads, on PostgreSQL: a lease that ends by itself."""
+"""The leader's lease on PostgreSQL, which ends by itself."""
 
 import contextlib
 import time
@@ -135,7 +135,7 @@ def test_servers_know_where_the_others_are_and_which_of_them_live(database: Data
     assert first.is_alive(third.id)
 
     def is_alone() -> bool:
-        # All the time: who was away itself takes others for dead only later.
+        # All the time: a server that was cut off takes others for dead only later.
         first.beat()
         return not (first.is_alive(second.id) or first.is_alive(third.id))
 

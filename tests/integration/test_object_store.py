@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.services, pytest.mark.slow]
 MIB = 1024 * 1024
 LARGE = os.urandom(MIB) * 16
 AWAY_S = float(os.environ.get("LAMBENT_CHAOS_STORE_AWAY_S", "4"))
-"""How long the store is away; two minutes in the long form."""
+"""How long the store is unavailable; two minutes in the long form."""
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""A run that is trained by two ranks: killed ranks cost nothing but time, and either number goes on."""
+"""A run that is trained by two ranks: killed ranks cost nothing but time, and either number continues."""
 
 import os
 import random
@@ -37,7 +37,7 @@ SMALL = {
 
 
 def train(folder: Path, reporter: RecordingReporter, num_ranks: int = 2, tasks=("ingest", "cache")) -> Path:
-    """Train a run, or go on with it, and return the checkpoint at the end of its last task."""
+    """Train a run, or continue with it, and return the checkpoint at the end of its last task."""
     spec = RunSpec.from_options(SCENE, preset="tiny", overrides=SMALL)
     run_pipeline(spec, folder, "cpu", reporter, tasks, num_ranks=num_ranks)
     found = latest_checkpoint(folder / tasks[-1])

@@ -149,7 +149,7 @@ def test_a_user_added_by_address_is_bound_at_the_first_sign_in(
     provider.control(person={**dora, "email_verified": True})
     browser.sign_in()
     assert "submit" in browser.me()["scopes"]
-    # Somebody else, who has been given the address later.
+    # Someone else, who has been given the address later.
     provider.control(person={**dora, "sub": "e-5", "email_verified": True})
     with Browser(server) as another:
         assert another.sign_in().headers["location"] == "/#sign-in=sign_in_refused"

@@ -132,7 +132,7 @@ def test_a_folder_of_this_release_is_used_although_its_tables_are_in_the_log_alo
     (folder / "worker.secret").write_text("secret")
     url = f"sqlite:///{folder / 'lambent.sqlite'}"
     with contextlib.closing(Database(url)) as database:
-        # As long as it is open, the log is not merged.
+        # While it is open, the log is not merged.
         database.migrate()
         result = CliRunner().invoke(app, ["admin", "org", "list", "--json", "--data", str(folder)])
         assert result.exit_code == 0, result.output

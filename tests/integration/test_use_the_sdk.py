@@ -1,4 +1,4 @@
-"""The code of docs/howto/use-the-sdk.md runs as it stands there."""
+"""The code of docs/howto/use-the-sdk.md runs as it is printed."""
 
 import re
 import shutil

@@ -214,7 +214,7 @@ def test_the_extras_raw_and_rembg_add_to_capture_without_torch(install, tmp_path
     masks = ("masks", tmp_path / "ball", "--segmenter", f"rembg={network}", "-o", tmp_path / "cut")
     assert "lambent[rembg]" in capture.lambent(*masks, code=2)
     capture.add("rembg")
-    assert "is no network that rembg can run" in capture.lambent(*masks, code=2)
+    assert "is not a network that rembg can run" in capture.lambent(*masks, code=2)
     assert not capture.has("torch")
 
 

@@ -156,7 +156,7 @@ class FailingJob:
         return False
 
     def do_task(self, context, error, at):
-        """Train a stage, which has the settings and goes on from where it should."""
+        """Train a stage, which has the settings and continues from where it should."""
         made_with = settings_of(context.spec.config, context.task)
         plain = settings_of(RunSpec.from_options(Path(), preset="tiny").config, context.task)
         factors = [self.factors[context.task].get(name, 1.0) for name in ("rays", "rate")]

@@ -49,7 +49,7 @@ SPACES = {
 
 
 def decoded(curve: str | float, levels: ndarray) -> ndarray:
-    """Return light of levels; below 0 and above 1 the curves go on.
+    """Return light of levels; below 0 and above 1 the curves continue.
 
     Sources: IEC 61966-2-1 (sRGB), ITU-R BT.709-6 item 1.2 inverted.
     """

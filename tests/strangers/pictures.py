@@ -146,7 +146,7 @@ def write_photograph(path: Path, spec: Spec, seed: int, *, outlined: ndarray | N
     save_levels(path, stored, alpha, spec, statement)
     lossless = spec.format not in LEVELS_LOST
     step = HALF_STEP / full if lossless else LEVELS_LOST[spec.format] / 255
-    if outlined is not None and not lossless:  # which is no edge of patches
+    if outlined is not None and not lossless:  # which is not an edge of patches
         step *= 3.0
     weight = np.maximum(alpha, 0.4)[..., None] if spec.alpha == "premultiplied" else 1.0
     found = []

@@ -83,7 +83,7 @@ def _outcome(written: Written) -> Outcome:
     except (SceneRefusedError, WorkerError) as error:
         raise DifferenceError(f"the check has no error, training has: {error}") from error
     if not all(written.readings.values()):
-        raise DifferenceError("was read although its levels are no light in linear units")
+        raise DifferenceError("was read although its levels are not light in linear units")
     wrong = [
         f"{path}: {why}" for path, each in written.readings.items() if (why := differs(views.get(path), each))
     ]

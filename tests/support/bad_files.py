@@ -185,7 +185,7 @@ def _(folder: Path) -> None:
 # --- Names and places --------------------------------------------------------------------------------------
 
 
-@bad("a name that is no text", "scene.name_unusable")
+@bad("a name that is not a text", "scene.name_unusable")
 def _(folder: Path) -> None:
     write_views(folder)
     content = (folder / "IMG_0000.jpg").read_bytes()

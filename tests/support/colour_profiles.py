@@ -1,4 +1,4 @@
-"""Colour profiles as they stand in photographs."""
+"""Colour profiles as photographs have them."""
 
 import struct
 

@@ -1,4 +1,4 @@
-"""What holds of a service at rest, whatever happened to it: the promises P1 to P7 in its database and store.
+"""Promises of a service at rest, whatever happened to it: P1 to P7 in its database and store.
 
 `broken` returns a line for each thing that does not hold. It expects that no job is unfinished and that no
 sweep is due.

@@ -99,7 +99,7 @@ class LiveServer:
         # A second server on a database makes none.
         self.key = key_file.read_text().strip() if key_file.exists() else self.key
         self.client.close()
-        # There is no TLS to verify, and loading the system's certificates takes 25 ms.
+        # There is not a TLS to verify, and loading the system's certificates takes 25 ms.
         self.client = httpx2.Client(
             base_url=self.url, headers={"Authorization": f"Bearer {self.key}"}, timeout=30.0, verify=False
         )

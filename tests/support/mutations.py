@@ -222,7 +222,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--first", type=int, default=0, help="number of the first mutant, to go on with")
+    parser.add_argument("--first", type=int, default=0, help="number of the first mutant, to continue with")
     parser.add_argument("--keep", type=Path, help="folder for mutants with faults")
     given = parser.parse_args()
     structlog.configure(processors=[_drop])

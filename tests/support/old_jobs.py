@@ -84,7 +84,7 @@ def analyze(database: Database) -> None:
 
 
 def _indexes(connection: Connection) -> dict[str, str]:
-    """Return the indexes that are no keys, with the statements that make them."""
+    """Return the indexes that are not keys, with the statements that make them."""
     statement = (
         "SELECT name, sql FROM sqlite_master WHERE type = 'index' AND sql IS NOT NULL"
         if connection.dialect.name == "sqlite"

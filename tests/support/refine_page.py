@@ -138,7 +138,7 @@ class RefinePage:
     def __init__(self, page: Page, url: str, asked: list[str]) -> None:
         self.page, self._url = page, url
         self.asked = asked
-        """Paths that were asked of the server since the page was opened."""
+        """Paths that were requested from the server since the page was opened."""
 
     def open(self, bundle: str, state: str = "", *, below: str = "", **options: object) -> None:
         """Open a bundle of the data folder; `options` are those of refining, `below` may be "strict/"."""

@@ -29,7 +29,7 @@ def store(folder: Path, manifest: BundleManifest) -> None:
 
 
 def zipped(folder: Path, *, compression: int = zipfile.ZIP_STORED) -> Path:
-    """Return an archive of the bundle, which lies beside it."""
+    """Return an archive of the bundle, written beside it."""
     path = folder.with_suffix(".relight.zip")
     with zipfile.ZipFile(path, "w", compression) as archive:
         for file in sorted(p for p in folder.rglob("*") if p.is_file()):

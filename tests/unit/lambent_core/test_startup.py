@@ -61,6 +61,6 @@ def test_a_process_ends_if_its_parent_is_gone_before_it_is_ready():
     orphan = [sys.executable, "-c", CHILD, "alive"]
     late = subprocess.run(orphan, env=os.environ | {"LAMBENT_PARENT_PID": str(gone.pid)}, check=False)
     assert late.returncode == -signal.SIGKILL
-    # With its parent there it goes on, and its own children are not told of a grandparent.
+    # With its parent there it continues, and its own children are not told of a grandparent.
     done = subprocess.run([sys.executable, "-c", PARENT], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["alive", "None"]

@@ -155,7 +155,7 @@ def recorded(api: Api, org: str) -> list[tuple[str, str]]:
 
 def test_whatever_an_operator_changes_is_in_the_audit_log(api: Api):
     job = api.job()["id"]
-    # What only shows something, or is refused, is no change.
+    # What only shows something, or is refused, is not a change.
     admin(api, "jobs", "cancel", job)
     assert recorded(api, "default") == []
     admin(api, "jobs", "cancel", job, "--yes")

@@ -139,7 +139,7 @@ def test_a_cancelled_run_of_a_machine_that_vanished_is_settled_within_the_promis
     give_away(stage, job)
     others(stage).alive.add("server_there")
     stage.controller.turn()
-    # The machine vanishes now, and somebody cancels; its server counts as alive for another 17 s.
+    # The machine vanishes now, and someone cancels; its server counts as alive for another 17 s.
     stage.api.post(f"/v1/jobs/{job}:cancel")
     travel(stage, 17.0)
     assert stage.job(job)["state"] == "cancelling"

@@ -1,4 +1,4 @@
-"""What the tests of faults rely on: a service that breaks a promise is noticed."""
+"""The tests of faults rely on this: a service that breaks a promise is noticed."""
 
 import hashlib
 from collections.abc import Callable, Iterator

@@ -214,7 +214,7 @@ REFUSED = {
     "lines": (lambda w: w.mesh(mode=1), "no_triangles", "lines where triangles"),
     "points": (lambda w: w.mesh(mode=0), "no_triangles", "points where triangles"),
     "a position that is no number": (not_a_number, "not_finite", "1 vertices whose positions"),
-    "texture coordinates that are no numbers": (bad_uv, "not_finite", "texture coordinates"),
+    "texture coordinates that are not numbers": (bad_uv, "not_finite", "texture coordinates"),
     "an armature": (lambda w: w.mesh(node={"skin": 0}), "unsupported", "apply the armature"),
     "shape keys": (lambda w: w.mesh(targets=[{"POSITION": 0}]), "unsupported", "shape keys"),
     "meshopt": (requires("EXT_meshopt_compression"), "unsupported", "EXT_meshopt_compression"),

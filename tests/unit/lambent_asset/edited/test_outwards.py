@@ -77,7 +77,7 @@ def test_the_wall_of_a_hollow_faces_the_hollow():
     mesh, count = turned_outwards(hollow)
     assert count == 0
     assert mesh is hollow
-    # Beside it, within the box but not within the ball, the same piece is no hollow.
+    # Beside it, within the box but not within the ball, the same piece is not a hollow.
     beside = given(ball(), ball(0.1, (0.8, 0.8, 0.8), inside_out=True))
     assert turned_outwards(beside)[1] == 1
 

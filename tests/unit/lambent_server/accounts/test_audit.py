@@ -81,7 +81,7 @@ def test_postgresql_refuses_to_empty_the_table(database: Database):
 
 
 def tamper(database: Database, *statements: Any) -> None:
-    """Do what somebody can do who owns the database."""
+    """Do what someone can do who owns the database."""
     triggers = ("audit_entries_unchanged", "audit_entries_kept")
     with database.write() as connection:
         for name in triggers:

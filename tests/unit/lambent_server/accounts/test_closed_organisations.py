@@ -47,7 +47,7 @@ def test_nothing_is_recorded_of_an_organisation_that_is_closed_or_gone(database:
 
 
 def test_what_goes_on_while_an_organisation_is_closed_is_rolled_back(database: Database):
-    """Somebody got in, an operator closes the organisation, and only then is the request done."""
+    """Someone got in, an operator closes the organisation, and only then is the request done."""
     begun = threading.Event()
 
     def late() -> None:

@@ -1,4 +1,4 @@
-"""What somebody made ends with them, and is no more than they have: keys, links, shares, subscriptions."""
+"""What someone made ends with them, and is no more than they have: keys, links, shares, subscriptions."""
 
 import threading
 import time
@@ -250,7 +250,7 @@ def test_subscriptions_and_webhooks_of_jobs_end_with_whoever_made_them(api: Api,
     assert told(api, before) == 2
     operate(api, *{**LEAVES, "demoted": DEMOTED}[how])
     assert told(api, after) == 0
-    # A job that somebody else queues again tells its end to nobody either.
+    # A job that someone else queues again tells its end to nobody either.
     again = expect(api.post(f"/v1/jobs/{after['id']}:retry"), 202)
     assert told(api, again) == 0
     shown = expect(api.get(f"/v1/webhooks/{subscription}"), 200)

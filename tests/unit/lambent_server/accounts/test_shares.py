@@ -102,7 +102,7 @@ def test_a_link_taken_back_is_closed_for_those_who_opened_it(api: Api):
     browser = visitor(api, token)
     answer = browser.get("/v1/bundles/bundle_shown/manifest")
     expect(answer, 200)
-    # Or the browser would go on showing what it has kept.
+    # Or the browser would continue showing what it has kept.
     assert answer.headers["cache-control"] == "private, no-cache"
     assert "immutable" in api.get("/v1/bundles/bundle_shown/manifest").headers["cache-control"]
     expect(api.delete(f"/v1/shares/{share['id']}"), 204)
@@ -126,7 +126,7 @@ def test_what_a_link_grants_is_signed(api: Api):
     forged = token[:-1] + ("0" if token[-1] != "0" else "1")
     for wrong in (forged, share["id"], share["id"] + ".", "x", token + "x", token.upper()):
         expect_problem(api.other(None).post("/v1/shares:open", json={"token": wrong}), 401, "share_invalid")
-    # Somebody who can write rows but does not have the secret gains nothing by them.
+    # Someone who can write rows but does not have the secret gains nothing by them.
     for values in ({"bundle_id": "bundle_other"}, {"expires_at": now() + 1e6}):
         row, mine = make(api)
         with api.services.database.write() as connection:
@@ -202,5 +202,5 @@ def test_links_of_a_closed_organisation_show_nothing_until_it_is_open_again(api:
 
 
 def expect_any(answer: Any, status: int) -> None:
-    """Check the status of an answer that is no JSON."""
+    """Check the status of an answer that is not a JSON."""
     assert answer.status_code == status, answer.text

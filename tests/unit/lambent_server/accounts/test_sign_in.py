@@ -40,7 +40,7 @@ def database(tmp_path: Path) -> Iterator[Database]:
 
 
 def enter(database: Database, groups: str | None, settings: Settings, name: str = "fay") -> dict[str, str]:
-    """Return the roles of somebody after a sign-in by the header of a proxy; {}: refused."""
+    """Return the roles of someone after a sign-in by the header of a proxy; {}: refused."""
     with database.write() as connection:
         try:
             user_id, _ = admit(connection, of_proxy(name, groups, settings), settings)
@@ -154,7 +154,7 @@ def test_an_address_is_bound_to_the_first_who_signs_in_with_it(
         users.join(connection, Tenant("studio"), user["id"], "editor")
         if disabled:
             users.change_user(connection, user["id"], disabled_at=1.0)
-    # A proxy vouches for a name that is an address, and any other name is nobody's.
+    # A proxy vouches for a name that is an address, and any other name is not an one's.
     assert enter(database, None, settings, "fay") == {}
     found = enter(database, None, settings, "fay@example.com")
     assert found == ({} if disabled else {"studio": "editor"})

@@ -1,4 +1,4 @@
-"""Places for long work: whoever queues most waits most, and nobody waits for somebody else's queue."""
+"""Places for long work: whoever queues most waits most, and nobody waits for someone else's queue."""
 
 import asyncio
 from collections.abc import Callable

@@ -165,7 +165,7 @@ def test_after_its_end_a_link_shows_neither_name_nor_picture(api: Api, monkeypat
     for unknown in (expired["id"], "share_nobody"):
         page = visitor.get(f"/embed/{unknown}")
         assert (page.status_code, page.headers["content-type"]) == (404, "text/html; charset=utf-8")
-        assert "There is no such page" in page.text
+        assert "There is not a such page" in page.text
 
 
 def test_the_address_of_the_page_opens_no_bundle(api: Api):
@@ -186,7 +186,7 @@ def test_the_secret_reads_its_bundle_from_a_header_and_nothing_else(api: Api):
     share, token = make(api)
     answer = read(api, token)
     expect(answer, 200)
-    # Or the browser would go on showing what it has kept after the link was revoked.
+    # Or the browser would continue showing what it has kept after the link was revoked.
     assert answer.headers["cache-control"] == "private, no-cache"
     for path in ("/v1/bundles/bundle_bare/manifest", "/v1/bundles/bundle_shown", "/v1/bundles", "/v1/jobs"):
         expect_problem(read(api, token, path), 401, "not_authenticated")

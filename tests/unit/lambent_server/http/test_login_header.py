@@ -36,7 +36,7 @@ def test_a_long_name_is_nobodys(tmp_path: Path):
     with capture_logs() as logs:
         assert LOGIN_NAME not in state_of(tmp_path, ("X-Name", "n" * 201))
     assert [(each["event"], each["log_level"]) for each in logs] == [("login_name_too_long", "warning")]
-    # What it begins with, or how it goes on, is in no log.
+    # What it begins with, or how it continues, is in no log.
     assert "nnn" not in str(logs)
 
 

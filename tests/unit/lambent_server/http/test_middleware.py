@@ -353,7 +353,7 @@ def test_the_pages_are_sent_to_anybody_and_asked_for_again_by_their_etag(
     absent = nobody.get("/nothing.html", headers={"accept": "text/html,*/*;q=0.8"})
     assert absent.status_code == 404
     assert absent.headers["content-type"].startswith("text/html")
-    assert "There is no such page" in absent.text
+    assert "There is not a such page" in absent.text
 
 
 def test_pages_are_sent_as_the_build_has_compressed_them(

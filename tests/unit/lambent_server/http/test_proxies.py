@@ -50,7 +50,7 @@ def test_nobody_else_is_believed():
         ("9.9.9.9:1234", "9.9.9.9"),
         ("[2001:db8::1]:80", "2001:db8::1"),
         ("10.0.0.3, 10.0.0.2", "10.0.0.3"),
-        # Behind what is no address anybody may have written the rest.
+        # Behind what is not an address anyone may have written the rest.
         ("9.9.9.9, unknown", "10.0.0.1"),
         ("", "10.0.0.1"),
     ],

@@ -149,7 +149,7 @@ def test_a_stream_that_fell_behind_goes_on_from_its_own_position(api: Api):
 
 @pytest.fixture
 def live(tmp_path: Path) -> Iterator[Api]:
-    """Return an interface whose streams go on, and are checked often."""
+    """Return an interface whose streams continue, and are checked often."""
     with opened(tmp_path / "live", max_streams=8, stream_ping_s=0.1) as api:
         yield api
 

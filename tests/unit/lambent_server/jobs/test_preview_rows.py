@@ -46,7 +46,7 @@ def test_a_long_training_keeps_its_newest_pictures_and_ever_fewer_of_earlier_one
         assert found[-NEWEST:] == sent[-NEWEST:]
         assert len(found) <= NEWEST + EARLIER
     found = kept(stage.api, job)
-    # In the order they were made in, from the first one on, and what is no turning picture stays.
+    # In the order they were made in, from the first one on, and what is not a turning picture stays.
     assert found[0] == sheet[0]
     places = [sent.index(digest) for digest in found[1:]]
     assert places == sorted(places)

@@ -300,7 +300,7 @@ def test_the_last_job_waits_for_the_parts_and_gets_what_they_leave(stage: Stage,
     assert told == [("red/y", "environment.x", "broken: a map"), (f"{second}/*", "render.all_failed", "no")]
     progress = {"stage": "contact_sheet", "step": 5, "num_steps": 5, "fraction": 1.0}
     stage.call("Report", last, sequence=1, progress=progress)
-    assert stage.api.get(f"/v1/batches/{batch['id']}").json()["num_done"] == 0, "sheets are no pictures"
+    assert stage.api.get(f"/v1/batches/{batch['id']}").json()["num_done"] == 0, "sheets are not pictures"
 
 
 def test_a_part_that_is_tried_again_alone_brings_a_new_table_with_it(stage: Stage, tmp_path: Path):

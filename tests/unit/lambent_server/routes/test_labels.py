@@ -71,7 +71,7 @@ def test_a_waiting_job_gets_another_turn_and_a_running_one_does_not(tmp_path: Pa
         assert [launch.job_id for launch in stage.executor.launches] == [second]
         path = f"/v1/jobs/{second}"
         expect_problem(stage.api.patch(path, json={"priority": 6}), 409, "job_not_waiting")
-        # What it has already is no change.
+        # What it has already is not a change.
         expect(stage.api.patch(path, json={"priority": 5, "labels": {"a": "b"}}), 200)
         assert stage.job(first)["state"] == "queued"
 

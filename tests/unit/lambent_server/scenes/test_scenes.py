@@ -270,7 +270,7 @@ def test_uploads_are_refused_when_the_disk_is_nearly_full(tmp_path: Path):
             api.post("/v1/environments?name=x", content=b"{}"),
         ):
             assert expect_problem(answer, 507, "disk_floor")["retryable"]
-        # Reading goes on.
+        # Reading continues.
         expect(api.get(f"/v1/jobs/{job['id']}"), 200)
 
 

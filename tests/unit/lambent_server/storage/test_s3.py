@@ -33,7 +33,7 @@ def options(server: S3Server, **given: Any) -> S3Options:
 
 
 def send(url: str, data: bytes, headers: Mapping[str, str]) -> int:
-    """Return the status of a PUT by somebody without credentials."""
+    """Return the status of a PUT by someone without credentials."""
     given = {"content-type": "application/octet-stream", **headers}
     return httpx2.put(url, content=data, headers=given, timeout=20).status_code
 

@@ -145,7 +145,7 @@ def test_neither_a_slow_answer_nor_an_endless_one_holds_an_attempt(
         path = f"/v1/deliveries/{delivery}"
         attempt = wait_until(lambda: api.get(path).json()["attempts"], 20)[0]
     assert attempt["error"] == error
-    # The bad receiver goes on for nine seconds.
+    # The bad receiver continues for nine seconds.
     assert attempt["seconds"] < 6
 
 
