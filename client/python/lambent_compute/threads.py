@@ -1,7 +1,7 @@
 """Work in threads, for code that releases the interpreter lock."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -20,7 +20,9 @@ def available_threads(quota: Path = Path("/sys/fs/cgroup/cpu.max")) -> int:
     return cores
 
 
-def in_order(work: Callable[[Item], Result], items: Sequence[Item], num_threads: int) -> Iterator[Result]:
+def in_order(
+    work: Callable[[Item], Result], items: Sequence[Item], num_threads: int
+) -> Generator[Result, None, None]:
     """Yield `work` of all items in their order, from `num_threads` threads.
 
     A caller that stops early, or fails, waits only for what was begun.

@@ -106,7 +106,8 @@ class BakeScene(Protocol):
 class KnownLight(Protocol):
     """An environment and its sampler."""
 
-    sampler: Strategy
+    @property
+    def sampler(self) -> Strategy: ...
 
     def __call__(self, directions: Tensor, light_index: Tensor) -> Tensor:
         """Return radiance [rays, 3] from unit directions [rays, 3]; the index is ignored."""

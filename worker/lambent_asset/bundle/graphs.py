@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from hashlib import sha256
 from pathlib import Path
 
+import onnx
 import torch
 from flashcache.caches.fast_cache import LEAST_OPACITY
 from flashcache.export import graphs, reference
@@ -62,7 +63,7 @@ def write_graphs(
     def fast_cache(light: int) -> Twin:
         return lambda trained, inputs: reference.fast_cache(trained, light, **inputs)
 
-    made = [
+    made: list[tuple[str, str, onnx.ModelProto, Twin, Inputs]] = [
         ("gbuffer", "", graphs.gbuffer_graph(model, rule, weights, metadata), gbuffer, rays),
         ("material", "", graphs.material_graph(model, weights, metadata), material, points),
     ]
@@ -80,7 +81,8 @@ def write_graphs(
         result = compare(path, folder / path, twin, model, inputs, trained=trained, edge=edge)
         manifests.add_graph(manifest, name, path, light, result)
         advance(path, result)
-    manifests.add_weights(manifest, weights, exported_grids(model))
+    layouts = {name: grid.layout for name, grid in exported_grids(model).items()}
+    manifests.add_weights(manifest, weights, layouts)
 
 
 def remove_networks(manifest: bundle_pb2.BundleManifest, folder: Path) -> None:

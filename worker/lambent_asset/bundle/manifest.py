@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from flashcache.export.onnx import WeightFile
-from flashcache.export.stored_grids import StoredGrid
+from flashcache.kernels.layout import GridLayout
 from flashcache.physical.model import InverseModel
 from lambent_core.messages import message_to_dict
 from lambent_proto import BUNDLE_VERSION
@@ -76,7 +76,7 @@ def add_graph(
 
 
 def add_weights(
-    manifest: bundle_pb2.BundleManifest, weights: WeightFile, grids: Mapping[str, StoredGrid]
+    manifest: bundle_pb2.BundleManifest, weights: WeightFile, grids: Mapping[str, GridLayout]
 ) -> None:
     """Add the tensors of the weight file and the feature grids among them."""
     for tensor in weights.tensors.values():
@@ -87,8 +87,7 @@ def add_weights(
             offset_bytes=tensor.offset_bytes,
             size_bytes=tensor.values.nbytes,
         )
-    for name, grid in grids.items():
-        layout = grid.layout
+    for name, layout in grids.items():
         manifest.grids.add(
             name=name,
             tensor=f"{name}.table",

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 Inputs = Mapping[str, torch.Tensor]
-Twin = Callable[[Any, Inputs], Mapping[str, torch.Tensor]]
+Twin = Callable[[Any, Inputs], dict[str, torch.Tensor]]
 """The function of a graph in torch; it gets the model, or the part of one, that `compare` was given."""
 
 TOLERANCE = 1e-5
@@ -129,7 +129,7 @@ def _twin(twin: Twin, model: nn.Module, inputs: Inputs) -> dict[str, NDArray[np.
     device, dtype = next((p.device, p.dtype) for p in model.parameters())
     rows = len(next(iter(inputs.values())))
 
-    def part(start: int) -> Mapping[str, torch.Tensor]:
+    def part(start: int) -> dict[str, torch.Tensor]:
         some = slice(start, start + CHUNK_ROWS)
         return twin(model, {key: value[some].to(device, dtype) for key, value in inputs.items()})
 
@@ -169,9 +169,9 @@ def _steepness(
     exact = _twin(twin, exact_model, exact_inputs)
     moved = [_largest_error(single, exact)]
     if edge is not None:
-        name, value = edge
+        name, jump = edge
         # The graph's own output may be that far on the other side.
-        near = np.abs(exact[name][:, 0] - value) <= TOLERANCE
+        near = np.abs(exact[name][:, 0] - jump) <= TOLERANCE
         moved.append(np.where(near, np.inf, 0.0))
     for key, value in exact_inputs.items():
         for axis in range(value.shape[1]):

@@ -100,7 +100,8 @@ def framed(
     focal = 0.5 * width / np.tan(np.radians(FIELD_OF_VIEW_DEG) / 2.0)
     reach = FILLED * np.array([width, height]) / (2.0 * focal)
     target = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
-    pose = look_at(position_around(target, 1.0, azimuth_deg, elevation_deg), target)
+    eye = position_around(target.tolist(), 1.0, azimuth_deg, elevation_deg)
+    pose = look_at(eye.tolist(), target.tolist())
     turned = (vertices - target) @ pose[:3, :3]
     middle = np.zeros(2)
     # Perspective moves the middle; where it is settled to less than a pixel, the distance is too.

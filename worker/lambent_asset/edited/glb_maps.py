@@ -21,8 +21,7 @@ _FORMATS = ("PNG", "JPEG", "WEBP")
 _LEVELS = np.arange(256, dtype=np.float32) / np.float32(255.0)
 _LINEAR = linear_from_srgb(_LEVELS).astype(np.float32)
 _SIGNED = 2.0 * _LEVELS - 1.0
-_TABLES = {"albedo": _LINEAR, "packed": _LEVELS, "normal": _SIGNED}
-"""What the 256 levels of a stored picture stand for."""
+"""What the 256 levels of a stored picture stand for: gloss, albedo, normals."""
 _PLACES_AT_ONCE = 1 << 18
 LEAST_ROUGHNESS = 0.03
 """Perceptual roughness is at least this: the lobe of a perfect mirror has no width to bake with."""
@@ -52,15 +51,13 @@ class Maps:
         """Return the pixels of all pictures together."""
         return sum(p.shape[0] * p.shape[1] for p in (self.albedo, self.packed, self.normal) if p is not None)
 
-    def reduced(self, size: int, albedo_size: int = 0) -> "Maps":
-        """Return the material with pictures of less than twice `size` texels a side: means over blocks.
-
-        The albedo has `albedo_size` in place of `size` where that is given.
-        """
-        sizes = {"albedo": albedo_size or size, "packed": size, "normal": size}
+    def reduced(self, size: int) -> "Maps":
+        """Return the material with pictures of less than twice `size` texels a side: means over blocks."""
         return replace(
             self,
-            **{name: _reduced(getattr(self, name), sizes[name], table) for name, table in _TABLES.items()},
+            albedo=_reduced(self.albedo, size, _LINEAR),
+            packed=_reduced(self.packed, size, _LEVELS),
+            normal=_reduced(self.normal, size, _SIGNED),
         )
 
     def albedo_at(self, uv: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -117,7 +114,7 @@ def _bilinear(picture: Picture, uv: NDArray[np.floating], table: NDArray[np.floa
 
 
 def _values(stored: Picture, table: NDArray[np.float32]) -> NDArray[np.float32]:
-    return table[stored] if stored.dtype == np.uint8 else stored
+    return table[stored] if stored.dtype == np.uint8 else np.asarray(stored, np.float32)
 
 
 def _reduced(picture: Picture | None, size: int, table: NDArray[np.float32]) -> Picture | None:

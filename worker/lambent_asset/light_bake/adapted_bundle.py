@@ -40,9 +40,9 @@ def write_adapted(
     manifest = bundle_pb2.BundleManifest()
     manifest.CopyFrom(bundle.manifest)
     for file in manifest.files:
-        path = folder / file.path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(read_checked(bundle.source, file.path, limit_bytes=_MAX_FILE_BYTES))
+        copied = folder / file.path
+        copied.parent.mkdir(parents=True, exist_ok=True)
+        copied.write_bytes(read_checked(bundle.source, file.path, limit_bytes=_MAX_FILE_BYTES))
     weights = _weights_of(bundle)
     old = set(weights.tensors)
     if weights.half_tables:
@@ -72,7 +72,7 @@ def write_adapted(
     manifest.metrics.update(figures)
     manifests.add_graph(manifest, "fast_cache", path, light.name, parity)
     added = {name: tensor for name, tensor in weights.tensors.items() if name not in old}
-    grids = {f"{graphs.adapted_prefix(light.name)}.feature_grid": cache.feature_grid}
+    grids = {f"{graphs.adapted_prefix(light.name)}.feature_grid": cache.feature_grid.layout}
     manifests.add_weights(manifest, WeightFile(tensors=added), grids)
     paths = sorted({*(file.path for file in manifest.files), path})
     del manifest.files[:]

@@ -146,11 +146,14 @@ def bundle_scene(bundle: Bundle, albedo_ratio: Float[Tensor, "3"], *, num_thread
     manifest = bundle.manifest
     rays = manifest.secondary_rays
     eyes = np.stack([camera.camera_to_world[:3, 3] for camera in bundle.cameras()])
-    corners = (manifest.bounds.minimum, manifest.bounds.maximum)
+    low, high = (
+        torch.tensor(list(corner), dtype=torch.float32)
+        for corner in (manifest.bounds.minimum, manifest.bounds.maximum)
+    )
     return BundleScene(
         caches=caches,
         limits=RayLimits(near=rays.near, far=rays.far, origin_offset=rays.origin_offset),
         viewpoints=torch.from_numpy(eyes.astype(np.float32)),
-        box=tuple(torch.tensor(list(corner), dtype=torch.float32) for corner in corners),
+        box=(low, high),
         albedo_ratio=albedo_ratio,
     )

@@ -152,7 +152,7 @@ def field_near_surface(
     return field, np.pad(drawn[inside], 1, mode="edge"), cell
 
 
-def _level(depth: NDArray[np.float32], wanted: float) -> float:
+def _level(depth: NDArray[np.floating], wanted: float) -> float:
     """Return the optical depth at which matter begins: `wanted`, or less where nothing reaches twice that.
 
     Raises WorkerError when there is no matter.
@@ -236,7 +236,7 @@ def _around(points: NDArray[np.floating]) -> list[Camera]:
                 focal_y=0.5 * SEEN_SIDE * math.sqrt(away**2 - radius**2) / radius,
                 centre_x=0.5 * SEEN_SIDE,
                 centre_y=0.5 * SEEN_SIDE,
-                camera_to_world=look_at(place, middle),
+                camera_to_world=look_at(place.tolist(), middle.tolist()),
             )
         )
     return cameras

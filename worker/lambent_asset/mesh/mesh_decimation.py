@@ -30,7 +30,8 @@ def simplified(mesh: Mesh, max_faces: int) -> Mesh:
     Quadric error collapse; triangles without area are dropped, and pairs of triangles with the same corners,
     to which a thin fold collapses.
     """
-    vertices, faces = mesh.vertices, mesh.faces
+    vertices: NDArray[np.floating] = mesh.vertices
+    faces: NDArray[np.integer] = mesh.faces
     if len(faces) > max_faces:
         vertices, faces = fast_simplification.simplify(
             np.ascontiguousarray(vertices), np.ascontiguousarray(faces), target_count=max_faces
@@ -108,7 +109,9 @@ def _samples(
     return a + u[:, :1] * (b - a) + u[:, 1:] * (c - a), owner
 
 
-def _distance_to_triangles(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _distance_to_triangles(
+    points: NDArray[np.floating], corners: NDArray[np.floating]
+) -> NDArray[np.float64]:
     """Return the distance of each point from its triangle [point, 3, 3]: from its plane, or its edges."""
     a, b, c = (corners[:, k] for k in range(3))
     normal = np.cross(b - a, c - a)

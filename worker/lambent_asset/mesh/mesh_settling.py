@@ -45,7 +45,7 @@ def settled_mesh(model: InverseModel, mesh: Mesh) -> Mesh:
     over. Shifts are evened out between neighbours. A vertex stays where its shift would turn a triangle over.
     """
     mean = _mean_of_neighbours(len(mesh.vertices), mesh.faces)
-    vertices = np.asarray(mesh.vertices, np.float64)
+    vertices: NDArray[np.floating] = np.asarray(mesh.vertices, np.float64)
     for _ in range(NUM_RELAXATIONS):
         vertices = _relaxed(vertices, mesh.faces, mean)
     normals = angle_weighted_normals(vertices, mesh.faces)
@@ -110,7 +110,7 @@ def depth_reached(
 
 def without_folds(
     before: NDArray[np.floating], after: NDArray[np.floating], faces: NDArray[np.integer]
-) -> NDArray[np.float64]:
+) -> NDArray[np.floating]:
     """Return `after`, but the places `before` for vertices of triangles that would turn over."""
     before, moved = np.asarray(before, np.float64), np.array(after, np.float64)
     plain = _cross(before, faces)
@@ -126,8 +126,8 @@ def without_folds(
 
 
 def _relaxed(
-    vertices: NDArray[np.float64], faces: NDArray[np.integer], mean: sparse.csr_array
-) -> NDArray[np.float64]:
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], mean: sparse.csr_array
+) -> NDArray[np.floating]:
     """Return vertices halfway to the mean of their neighbours, but for the part along their normals."""
     normals = angle_weighted_normals(vertices, faces).astype(np.float64)
     step = 0.5 * (mean @ vertices - vertices)
@@ -135,7 +135,7 @@ def _relaxed(
     return without_folds(vertices, vertices + step, faces)
 
 
-def _cross(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> NDArray[np.float64]:
+def _cross(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> NDArray[np.float64]:
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
 

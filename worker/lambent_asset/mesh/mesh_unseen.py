@@ -123,7 +123,7 @@ def closed_smoothly(mesh: Mesh, unseen: NDArray[np.bool_]) -> tuple[Mesh, NDArra
     return Mesh(vertices.astype(np.float32), faces.astype(np.int32), mesh.cell), unseen
 
 
-def _smoothing(vertices: NDArray[np.float64], faces: NDArray[np.integer], width: float) -> sparse.csr_array:
+def _smoothing(vertices: NDArray[np.floating], faces: NDArray[np.integer], width: float) -> sparse.csr_array:
     """Return 1 + s^2 L for a smoothing `width` in scene units."""
     edges = edges_of(faces)
     length = float(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean())
@@ -134,12 +134,12 @@ def _smoothing(vertices: NDArray[np.float64], faces: NDArray[np.integer], width:
 
 
 def _evened_out(
-    vertices: NDArray[np.float64],
+    vertices: NDArray[np.floating],
     unseen: NDArray[np.bool_],
     normals: NDArray[np.float64],
     system: sparse.csr_array,
     cell: float,
-) -> NDArray[np.float64]:
+) -> NDArray[np.floating]:
     """Return the places of unseen vertices; `normals` are those of the seen ones."""
     learned = vertices[unseen]
     seen, tree = vertices[~unseen], cKDTree(vertices[~unseen])

@@ -41,7 +41,7 @@ def judge_qualities(
     figures: dict[str, float] = {}
     small = [_reduced(camera) for camera in cameras]
     for name, light in judging_lights(trained).items():
-        found = {"baked": [], "preview": []}
+        found: dict[str, list[tuple[float, float]]] = {"baked": [], "preview": []}
         for camera in small:
             refined = renderer.render(camera, light, spp=num_samples, seed=seed)
             for quality, values in found.items():

@@ -18,7 +18,8 @@ from lambent_run.report import protocol
 from lambent_run.report.published import published_rows, published_scene
 from lambent_run.report.request import EvaluationRequest
 from lambent_run.run.hashes import input_hashes, last_training_task, task_inputs
-from lambent_run.run.spec import RunSpec, config_for
+from lambent_run.run.settings import config_for
+from lambent_run.run.spec import RunSpec
 
 FULL = "full"
 GROUPS = {

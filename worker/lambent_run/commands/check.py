@@ -55,7 +55,7 @@ def check(
 
 def lacks_cameras(record: dict[str, Any]) -> bool:
     """Return whether a usable capture is of photographs whose cameras are still to be found."""
-    return record["layout"] == "photographs"
+    return bool(record["layout"] == "photographs")
 
 
 def _tell(scene_dir: Path, record: dict[str, Any], out: Path | None) -> None:

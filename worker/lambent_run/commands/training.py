@@ -68,7 +68,8 @@ def train(
     from lambent_core.startup import prepare
 
     prepare(threads)
-    from lambent_run.run.spec import RunSpec, config_for, read_run, with_kept_corrections
+    from lambent_run.run.settings import config_for
+    from lambent_run.run.spec import RunSpec, read_run, with_kept_corrections
 
     overrides = {"model.environment.lights": "rotated"} if rotated else {}
     overrides |= parse_settings(settings or [])

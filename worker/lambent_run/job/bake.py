@@ -36,7 +36,10 @@ def request_of(start: worker_pb2.StartResponse, environment: Path) -> BakeReques
     settings = start.params
     ratio = None
     if settings.get("albedo_ratio"):
-        ratio = tuple(_number("albedo_ratio", part) for part in settings["albedo_ratio"].split(","))
+        parts = [_number("albedo_ratio", part) for part in settings["albedo_ratio"].split(",")]
+        if len(parts) != 3:
+            raise ConfigError(f"albedo_ratio must be three positive numbers, got {tuple(parts)}")
+        ratio = (parts[0], parts[1], parts[2])
     config = LightBakeConfig()
     if settings.get("steps"):
         config = replace(config, num_steps=round(_number("steps", settings["steps"])))

@@ -154,20 +154,21 @@ class Connection:
 
     def _put(self, path: Path, sha256: str, size: int, media_type: str) -> None:
         """Send a file to the store, or where that cannot be reached from here to the server."""
-        given = {"fence": self.identity.fence, "sha256": sha256, "size_bytes": float(size)}
-        planned = worker_pb2.PlanUploadRequest(**given)
+        fence = self.identity.fence
+        planned = worker_pb2.PlanUploadRequest(fence=fence, sha256=sha256, size_bytes=float(size))
         plan = self.stub.PlanUpload(planned, timeout=CALL_TIMEOUT_S, metadata=self._metadata)
         if plan.stored:
             return
         if plan.direct and self._send_parts(path, plan.parts):
-            request = worker_pb2.CompleteUploadRequest(**given, media_type=media_type)
-            timeout = TRANSFER_TIMEOUT_S
-            done = self.stub.CompleteUpload(request, timeout=timeout, metadata=self._metadata)
+            request = worker_pb2.CompleteUploadRequest(
+                fence=fence, sha256=sha256, size_bytes=float(size), media_type=media_type
+            )
+            done = self.stub.CompleteUpload(request, timeout=TRANSFER_TIMEOUT_S, metadata=self._metadata)
             if done.missing:
                 raise StoreAwayError("the store has not got everything")
             return
         header = worker_pb2.BlobHeader(
-            fence=self.identity.fence, sha256=sha256, size_bytes=float(size), media_type=media_type
+            fence=fence, sha256=sha256, size_bytes=float(size), media_type=media_type
         )
 
         def pieces() -> Iterator[worker_pb2.PutBlobRequest]:

@@ -148,8 +148,8 @@ def _work(
         connection.call(connection.stub.Finish, worker_pb2.FinishRequest(fence=fence, outcome=outcome))
         return
     files = _send_bundle(connection, bundle) if bundle is not None else []
-    request = worker_pb2.PublishRequest(fence=fence, bundle_files=files, artifacts=reporter.artifacts)
-    connection.call(connection.stub.Publish, request)
+    published = worker_pb2.PublishRequest(fence=fence, bundle_files=files, artifacts=reporter.artifacts)
+    connection.call(connection.stub.Publish, published)
 
 
 def _do(

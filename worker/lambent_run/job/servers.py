@@ -75,7 +75,7 @@ class _ServerConnection:
     def __init__(self, address: str, known: KnownServers) -> None:
         self.address = address
         self.channel = open_channel(address, known.authority, known.authority_name)
-        self.stub = worker_pb2_grpc.WorkerServiceStub(self.channel)
+        self.stub = worker_pb2_grpc.WorkerServiceStub(self.channel)  # type: ignore[no-untyped-call]
 
 
 class Servers:
@@ -130,7 +130,7 @@ class Servers:
         except grpc.RpcError as error:
             self._note(connection, error)
             raise
-        return self._pieces(connection, answer) if isinstance(answer, grpc.Call) else answer
+        return self._pieces(connection, answer) if isinstance(answer, Iterator) else answer
 
     def _pieces(self, connection: _ServerConnection, answer: Iterable[Any]) -> Iterator[Any]:
         try:

@@ -78,7 +78,7 @@ def bake_light(source: Path, out: Path, request: BakeRequest, reporter: Reporter
         name=_free_name(bundle, request),
         environment_sha256=environment_digest(environment),
         rotate_deg=request.rotate_deg % 360.0,
-        albedo_ratio=request.albedo_ratio or tuple(bundle.manifest.albedo_scale_rgb),
+        albedo_ratio=request.albedo_ratio or _scale_of(bundle),
     )
     work = out.with_name(out.name + ".work")
     files = sorted(file.sha256 for file in bundle.manifest.files)
@@ -158,6 +158,11 @@ def _free_name(bundle: Bundle, request: BakeRequest) -> str:
             "bake.name_taken", f'the bundle has a fast cache for a light called "{name}"; choose a --name'
         )
     return name
+
+
+def _scale_of(bundle: Bundle) -> tuple[float, float, float]:
+    red, green, blue = bundle.manifest.albedo_scale_rgb
+    return red, green, blue
 
 
 def _context(

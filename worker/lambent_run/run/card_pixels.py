@@ -133,11 +133,16 @@ def box_turns(card: GreyCard, frame: scene_pb2.Frame, manifest: scene_pb2.SceneM
     """
     upright = manifest.layout == PHOTOGRAPHS
     turns = upright_turns(camera_of(frame).camera_to_world) if upright else 0
-    stored = frame.camera.lens if frame.camera.HasField("lens") else frame.camera
+    stored = _stored(frame)
     size = turned_size((stored.width, stored.height), turns)
     if not fits(card, size):
         raise outside(card, size)
     return turns
+
+
+def _stored(frame: scene_pb2.Frame) -> scene_pb2.Camera | scene_pb2.Lens:
+    """Return what the photograph was taken with, as its file stores it."""
+    return frame.camera.lens if frame.camera.HasField("lens") else frame.camera
 
 
 def _inside_box(
@@ -152,9 +157,8 @@ def _inside_box(
     x, y = np.meshgrid(
         (columns - camera.centre_x) / camera.focal_x, (rows - camera.centre_y) / camera.focal_y
     )
-    stored = frame.camera
-    if frame.camera.HasField("lens"):
-        stored = frame.camera.lens
+    stored = _stored(frame)
+    if isinstance(stored, scene_pb2.Lens):
         x, y = distorted(x, y, np.array(stored.distortion))
     x, y = stored.focal_x * x + stored.centre_x, stored.focal_y * y + stored.centre_y
     width, height = stored.width, stored.height

@@ -15,6 +15,7 @@ from lambent_run.run.folder import task_folder
 from lambent_run.run.spec import RunSpec
 
 if TYPE_CHECKING:
+    from flashcache.config import Config
     from flashcache.parallel.ranks import Ranks
 
 
@@ -62,6 +63,12 @@ class TaskContext:
     """Among how many processes with a device each training is divided."""
     ranks: "Ranks | None" = None
     """The others, in such a process; only the first one writes and reports."""
+
+    @property
+    def config(self) -> "Config":
+        """Return the settings of the method, which a run has from its first training on."""
+        assert self.spec.config is not None, "this task has settings"
+        return self.spec.config
 
     @property
     def leads(self) -> bool:

@@ -52,9 +52,9 @@ def export_edited(
     require_done(run_dir, last_training_task(context.spec.config))
     if out.exists():
         raise UsageError("export.exists", f'"{out}" exists already; choose another folder with -o')
-    if not tier and context.spec.config.export.transport_tier == "none":
+    config = context.config
+    if not tier and config.export.transport_tier == "none":
         tier = "full"
-    config = context.spec.config
     if atlas:
         # The size of transport too, so that a texture with fewer texels does not make it coarser.
         wanted = {"atlas_size": "0" if atlas == "auto" else atlas}
@@ -62,7 +62,7 @@ def export_edited(
         config = with_overrides(config, {f"export.{name}": value for name, value in wanted.items()})
     chosen = replace(config.export, transport_tier=tier or config.export.transport_tier)
     spec = replace(context.spec, config=replace(config, export=chosen))
-    if spec.config.export.transport_tier == "none":
+    if chosen.transport_tier == "none":
         raise UsageError(
             "mesh_file.no_transport",
             "a bundle with a given mesh needs baked transport; use --tier full or lite",
@@ -80,12 +80,12 @@ def export_edited(
             shutil.rmtree(partial, ignore_errors=True)
             # Rays of another mesh must not be taken for this one's: nothing resumes here.
             shutil.rmtree(_rays_beside(partial), ignore_errors=True)
-    tell_about(reporter, manifest, spec.config.export)
+    tell_about(reporter, manifest, chosen)
 
 
 def _write(context: TaskContext, given: GivenMesh, mesh: Path, folder: Path) -> None:
     """Fill `folder` with everything that such a bundle has."""
-    settings = context.spec.config.export
+    settings = context.config.export
     for name in ("models", "mesh", "env", "preview"):
         (folder / name).mkdir(parents=True)
     scene = read_scene(context)
@@ -106,7 +106,7 @@ def _write(context: TaskContext, given: GivenMesh, mesh: Path, folder: Path) -> 
         model,
         _box_of(given),
         name=scene.name,
-        preset=context.spec.config.preset,
+        preset=context.config.preset,
         scene_id=scene_hash(context.spec.scene),
         train_step=train_step(context),
     )
@@ -158,7 +158,7 @@ def _write_mesh(
     manifest: bundle_pb2.BundleManifest,
     folder: Path,
 ) -> None:
-    settings, surface = context.spec.config.export, made.surface
+    settings, surface = context.config.export, made.surface
     occlusion = occlusion_of(
         surface, rays, num_points=settings.occlusion_points, num_rays=settings.occlusion_rays
     )

@@ -132,7 +132,7 @@ def _scene_to_compare(
         frames = [frame for frame in manifest.frames if frame.split == scene_pb2.SPLIT_TEST]
         del manifest.frames[:]
         manifest.frames.extend(frames)
-    size, crop = request.max_side or ANY_SIZE, context.spec.config.crop
+    size, crop = request.max_side or ANY_SIZE, context.config.crop
     return load_scene(scene_dir, manifest, max_side=size, crop=crop), manifest
 
 

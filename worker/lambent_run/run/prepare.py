@@ -144,20 +144,20 @@ def export_run(
     wanted["faces"] = "0" if faces == "auto" else faces
     wanted["atlas_size"] = "0" if atlas == "auto" else atlas
     # Stated too, so that a texture with fewer texels is refused and does not make transport coarser.
-    wanted["transport_size"] = str(context.spec.config.export.transport_size)
+    wanted["transport_size"] = str(context.config.export.transport_size)
     settings = {f"export.{name}": value for name, value in wanted.items() if value}
-    spec = replace(context.spec, config=with_overrides(context.spec.config, settings))
+    config = with_overrides(context.config, settings)
     if out.exists():
         raise UsageError("export.exists", f'"{out}" exists already; choose another folder with -o')
-    inputs = task_inputs("export", previous, spec.config, spec.seed)
+    inputs = task_inputs("export", previous, config, context.spec.seed)
     with locked(run_dir):
         made = task_folder(run_dir, "export")
         if done_inputs(run_dir, "export") != inputs:
-            run_task(replace(context, spec=spec), inputs)
+            run_task(replace(context, spec=replace(context.spec, config=config)), inputs)
         else:
             record = json.loads((made / "manifest.json").read_text(encoding="utf-8"))
             manifest = json_format.ParseDict(record, BundleManifest(), ignore_unknown_fields=True)
-            tell_about(reporter, manifest, spec.config.export)
+            tell_about(reporter, manifest, config.export)
         partial = out.with_name(out.name + ".partial")
         shutil.rmtree(partial, ignore_errors=True)
         shutil.copytree(made, partial)

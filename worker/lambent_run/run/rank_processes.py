@@ -89,11 +89,9 @@ def train_by_ranks(context: TaskContext) -> None:
 
 
 def _batches(context: TaskContext) -> list[tuple[str, int]]:
-    config = context.spec.config
-    assert config is not None, "training has settings"
     if context.task == "cache":
-        return [("stage_one", config.stage_one.num_rays)]
-    two = config.stage_two
+        return [("stage_one", context.config.stage_one.num_rays)]
+    two = context.config.stage_two
     return [("stage_two", two.num_rays)] + [("distil", two.distil.num_points)] * bool(two.distil.num_steps)
 
 

@@ -45,14 +45,14 @@ def uncertainty_of_run(context: TaskContext, model: InverseModel, scene: Scene) 
     None where the configuration leaves it out, or the model has no surface.
     """
     kept = kept_uncertainty(context.run_dir)
-    num_points = context.spec.config.evaluation.uncertainty_points
+    num_points = context.config.evaluation.uncertainty_points
     if kept is not None or not num_points:
         return kept
     return measure_uncertainty(
         model,
         scene,
         seed=context.spec.seed,
-        rule=rule_of(context.spec.config.stage_two),
+        rule=rule_of(context.config.stage_two),
         num_points=num_points,
         confidence=polished_confidence(context),
     )

@@ -82,12 +82,12 @@ def test_levels_are_averaged_as_what_they_stand_for_and_take_a_byte(tmp_path):
     colour, bent = RNG.integers(0, 256, (2, 12, 8, 3), dtype=np.uint8)
     maps = material(tmp_path, {"baseColorTexture": colour, "normalTexture": bent})
     assert maps.albedo.dtype == maps.normal.dtype == np.uint8
-    fitting = maps.reduced(4, albedo_size=2)
-    blocks = linear_from_srgb(colour / 255.0).reshape(3, 4, 2, 4, 3).mean(axis=(1, 3))
+    fitting = maps.reduced(4)
+    blocks = linear_from_srgb(colour / 255.0).reshape(6, 2, 4, 2, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(fitting.albedo, blocks, atol=1e-6)
     blocks = (2.0 * (bent / 255.0) - 1.0).reshape(6, 2, 4, 2, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(fitting.normal, blocks, atol=1e-6)
-    assert fitting.num_pixels == 3 * 2 + 6 * 4
+    assert fitting.num_pixels == 2 * 6 * 4
 
 
 def test_pictures_without_texture_coordinates_are_no_material(tmp_path):

@@ -22,7 +22,7 @@ def run(context: TaskContext) -> None:
 
     Raises `UsageError` for a grey card that cannot be used with this capture: later would be too late.
     """
-    config, seed = context.spec.config.stage_one, context.spec.seed
+    config, seed = context.config.stage_one, context.spec.seed
     with processes_for(context, config.num_rays) as processes:
         scene = read_scene(context)
         if context.spec.grey_card is not None:

@@ -25,14 +25,14 @@ SHEET = "evaluation"
 
 def run(context: TaskContext) -> None:
     """Write `evaluation/` with predictions, report.json and report.html for the preset's number of views."""
-    settings = context.spec.config.evaluation
+    settings = context.config.evaluation
     scene = read_scene(context)
     request = EvaluationRequest(
         num_views=settings.num_views,
         num_repeats=settings.num_repeats,
         num_directions=settings.num_directions,
         antialias=settings.antialias,
-        max_side=context.spec.config.max_side,
+        max_side=context.config.max_side,
     )
     model = load_final(context, scene)
     uncertainty = uncertainty_of_run(context, model, scene)
@@ -87,7 +87,7 @@ def subject_of(context: TaskContext, request: EvaluationRequest, *, scene: Scene
         request=request,
         seed=context.spec.seed,
         advance=advance,
-        rule=rule_of(context.spec.config.stage_two, request.shadows),
+        rule=rule_of(context.config.stage_two, request.shadows),
         grey_card=context.spec.grey_card is not None,
         **given,
     )
@@ -96,6 +96,6 @@ def subject_of(context: TaskContext, request: EvaluationRequest, *, scene: Scene
 
 def evaluated(context: TaskContext, subject: Subject) -> evaluation_pb2.EvaluationReport:
     """Evaluate `subject`, log the metrics and return the report."""
-    report = evaluate(subject, preset=context.spec.config.preset, seconds=task_seconds(context.run_dir))
+    report = evaluate(subject, preset=context.config.preset, seconds=task_seconds(context.run_dir))
     context.reporter.log("evaluated", **{row.name: round(row.value, 4) for row in report.metrics})
     return report

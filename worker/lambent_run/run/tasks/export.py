@@ -74,14 +74,14 @@ def run(context: TaskContext) -> None:
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     context.reporter.artifact("asset.glb", context.folder / "mesh" / "asset.glb")
-    tell_about(context.reporter, manifest, context.spec.config.export)
+    tell_about(context.reporter, manifest, context.config.export)
 
 
 def write_bundle(
     context: TaskContext, scene: Scene, model: InverseModel, folder: Path
 ) -> bundle_pb2.BundleManifest:
     """Fill `folder`, whose sub-folders exist, with everything a bundle has; return its manifest."""
-    settings = context.spec.config.export
+    settings = context.config.export
     box = occupied_box(model)
     _advance(context, 1)
 
@@ -90,7 +90,7 @@ def write_bundle(
         model,
         box,
         name=scene.name,
-        preset=context.spec.config.preset,
+        preset=context.config.preset,
         scene_id=scene_hash(context.spec.scene),
         train_step=train_step(context),
     )
@@ -170,7 +170,7 @@ def _write_surface(
 
     Shading that baked transport predicts is what turns photographs into albedo, so it is baked in any case.
     """
-    settings = context.spec.config.export
+    settings = context.config.export
     views = (*scene.train, *scene.test)
     pixel = pixel_size((view.camera for view in views), box)
     surface = build_surface(model, settings, box=box, pixel_size=pixel, views=scene.train or scene.test)
@@ -226,7 +226,7 @@ def _photographed_albedo(
     if finer < FINER:
         context.reporter.log("texture.nothing_finer", finer=round(finer, 3))
         return None, {}
-    settings = context.spec.config.export
+    settings = context.config.export
     size = settings.atlas_size or automatic_size(surface, pixel_size(cameras, box), settings.transport_tier)
     done = 0
 
@@ -268,7 +268,7 @@ def _write_networks(
     With the setting "auto" they are float16 unless that moves an output by more than `MOST_ROUNDING`, which
     is logged as a warning.
     """
-    wanted = context.spec.config.export.weights
+    wanted = context.config.export.weights
     fits = fits_half(model)
     if wanted == "fp16" and not fits:
         raise WorkerError(

@@ -16,7 +16,7 @@ from lambent_run.run.tasks.training import (
 
 def run(context: TaskContext) -> None:
     """Train stage two into `joint/step_*` from the end of stage one; resumes from its last checkpoint."""
-    config, seed = context.spec.config.stage_two, context.spec.seed
+    config, seed = context.config.stage_two, context.spec.seed
     with processes_for(context, max(config.num_rays, config.distil.num_points)) as processes:
         scene = read_scene(context)
         # Materials, fast cache and sampler were not touched by stage one: they start fresh.

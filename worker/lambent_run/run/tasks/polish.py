@@ -73,6 +73,6 @@ def run(context: TaskContext) -> None:
         stage=context.task,
         step=STEP,
         seed=context.spec.seed,
-        config_sha256=digest(repr(context.spec.config.model)),
+        config_sha256=digest(repr(context.config.model)),
     )
     save_checkpoint(checkpoint_folder(context.folder, STEP), model, None, state)

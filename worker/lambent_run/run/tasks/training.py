@@ -46,9 +46,9 @@ SKIPPED_SHARE_LIMIT = 0.05
 
 def read_scene(context: TaskContext) -> Scene:
     """Return the capture of the run, loaded at the preset's size."""
-    config = context.spec.config
+    config = context.config
     manifest = read_manifest(context)
-    if not context.leads:
+    if context.ranks is not None and not context.leads:
         context.ranks.agree(0)  # The first one reads photographs first, and keeps what it reads.
     scene = load_scene(
         context.spec.scene,
@@ -64,16 +64,16 @@ def read_scene(context: TaskContext) -> Scene:
 
 def domain_for(context: TaskContext, scene: Scene) -> Domain:
     """Return the space and lights of the scene as the run's model needs them."""
-    environment = context.spec.config.model.environment
+    environment = context.config.model.environment
     rotated = environment.lights == "rotated"
     known = known_names(context.spec.known_lights, scene.lights, rotated=rotated)
-    return domain_of(scene, context.spec.config.space, environment, known)
+    return domain_of(scene, context.config.space, environment, known)
 
 
 def new_model(context: TaskContext, scene: Scene) -> InverseModel:
     """Return a model in its initial state, the same for the same seed, with the given environments in it."""
     torch.manual_seed(context.spec.seed)
-    model = InverseModel(context.spec.config.model, domain_for(context, scene)).to(context.device)
+    model = InverseModel(context.config.model, domain_for(context, scene)).to(context.device)
     give_known_lights(model, context.run_dir, context.spec.known_lights)
     return model
 
@@ -95,7 +95,7 @@ def load_final(context: TaskContext, scene: Scene) -> InverseModel:
 
 def training_pixels(context: TaskContext, scene: Scene, model: InverseModel) -> TrainingPixels:
     """Return the training photographs on the run's device, where the model may hold something."""
-    device, pixels = torch.device(context.device), context.spec.config.pixels
+    device, pixels = torch.device(context.device), context.config.pixels
     return TrainingPixels(scene, pixels, device, model.nerf.occupancy)
 
 
@@ -130,7 +130,7 @@ def drive(context: TaskContext, stage: Stage, preview: LivePreview | None = None
     agreed after every step. Raises `Stopped` after writing a checkpoint when the reporter asks to end, and
     `TrainingError` when too many steps had gradients that were not finite.
     """
-    config = context.spec.config
+    config = context.config
     fingerprint = digest(repr(config.model), repr(stage.config))
     seconds = _resume(context, stage, fingerprint)
     saved_at = reported_at = time.monotonic()
@@ -142,7 +142,7 @@ def drive(context: TaskContext, stage: Stage, preview: LivePreview | None = None
         if isinstance(stage, StageOne | StageTwo) and stage.graphs.problem != problem:
             problem = stage.graphs.problem
             context.reporter.log("graphs.given_up", step=record.step, reason=problem)
-        if preview is not None and context.leads:
+        if preview is not None and context.leads and not isinstance(stage, LightBake):
             preview.attempt(stage.model, record.step)
         now = time.monotonic()
         if now - reported_at >= REPORT_INTERVAL_S or stage.finished:
@@ -150,7 +150,11 @@ def drive(context: TaskContext, stage: Stage, preview: LivePreview | None = None
             # On a GPU, this waits for all steps so far.
             record = record.read()
             context.progress(
-                record.step, record.num_steps, steps_per_s=rate, loss=record.loss, psnr=record.psnr
+                record.step,
+                record.num_steps,
+                steps_per_s=rate,
+                loss=float(record.loss),
+                psnr=float(record.psnr),
             )
             seconds += now - reported_at
             reported_at, reported_step = now, record.step
