@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 from lambent_server.core.settings import Settings
-from lambent_server.database.announcing import announce
-from lambent_server.database.engine import Database
+from lambent_server.database.engine import Database, announce
 from lambent_server.database.listening import Listener
 from lambent_server.database.model import JobRow
 from lambent_server.database.tenancy import Tenant

@@ -51,7 +51,7 @@ def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Databas
 def add_scene(database: Database, identifier: str, name: str) -> None:
     values = {"id": identifier, "name": name, "tenant_id": TENANT.id, "state": "ready", "created_at": 0.0}
     with database.write() as connection:
-        connection.execute(insert(scenes).values(**values))
+        connection.execute(insert(scenes).values(size_bytes=0.0, **values))
 
 
 def found(database: Database, words: str) -> list[str]:

@@ -142,7 +142,7 @@ def test_the_database_does_no_more_work_after_many_jobs(studios: list[Studio], n
 def test_words_are_found_among_many_names_by_an_index(studios: list[Studio]):
     large = studios[1]
     with large.services.database.write() as connection:
-        values = {"tenant_id": "default", "state": "ready", "created_at": 0.0, "num_files": 1}
+        values = {"tenant_id": "default", "state": "ready", "created_at": 0.0, "size_bytes": 0.0}
         made = [{**values, "id": f"scene_z{n:06d}", "name": f"Garden {n:06d}"} for n in range(MANY)]
         connection.execute(insert(scenes), made)
     analyze(large.services.database)

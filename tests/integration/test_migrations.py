@@ -50,7 +50,7 @@ def migrate_to_second(database: Database, folder: Path, serves: str = "r0001") -
 def add_scene(database: Database, identifier: str) -> None:
     values = {"id": identifier, "name": "x", "tenant_id": "a", "state": "open", "created_at": 0.0}
     with database.write() as connection:
-        connection.execute(insert(scenes).values(**values))
+        connection.execute(insert(scenes).values(size_bytes=0.0, **values))
         connection.execute(text("DELETE FROM jobs"))
         connection.execute(update(scenes).where(scenes.c.id == identifier).values(state="ready"))
 

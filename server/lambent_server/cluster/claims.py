@@ -10,7 +10,7 @@ removed under the lock only, and the claim is locked before any of them.
 from sqlalchemy import Connection, RowMapping, delete, select, update
 
 from lambent_server.core.clock import new_id, now
-from lambent_server.database.blob_tables import blob_claims
+from lambent_server.database.cluster_schema import blob_claims
 from lambent_server.database.columns import insert_or
 from lambent_server.database.schema import blobs, garbage
 from lambent_server.database.tenancy import Tenant, across_tenants, remove

@@ -1,48 +1,22 @@
 """Tables by which several servers on one database know each other and share what they need."""
 
-from sqlalchemy import JSON, Column, Double, Index, Integer, LargeBinary, PrimaryKeyConstraint, Table, Text
+from sqlalchemy import Column, Double, Index, Integer, LargeBinary, PrimaryKeyConstraint, Table, Text
 
-from lambent_server.database.columns import (
-    count_column,
-    maker_columns,
-    metadata,
-    optional_text_column,
-    text_column,
-    time_column,
-)
+from lambent_server.database.columns import metadata
+from lambent_server.database.model import ServerRow
+from lambent_server.database.rows import table
 
-# Servers that live, and for a while those that do not any more.
-servers = Table(
-    "servers",
-    metadata,
-    # Of the data folder, the same after every start
-    Column("id", Text, primary_key=True),
-    # Where its run processes can be seen: boot and pid namespace
-    text_column("host"),
-    # Its name, for people
-    text_column("hostname"),
-    text_column("url"),
-    # Where runs reach it: ["unix:/data/worker.sock", "tls:10.0.0.7:8421"]
-    Column("endpoints", JSON, nullable=False),
-    text_column("version"),
-    count_column("protocol"),
-    count_column("slots"),
-    count_column("gpus"),
-    # Times of the database's clock
-    time_column("started_at"),
-    time_column("beat_at"),
-    time_column("expires_at"),
-)
+servers = table("servers", ServerRow)
 
 # One row: who leads, and until when unless it says so again. PostgreSQL only.
 leadership = Table(
     "leadership",
     metadata,
     Column("name", Text, primary_key=True),
-    text_column("holder"),
+    Column("holder", Text, nullable=False),
     # Counts the leaders
-    count_column("term"),
-    time_column("expires_at"),
+    Column("term", Integer, nullable=False, default=0),
+    Column("expires_at", Double, nullable=False),
 )
 
 # What only servers know.
@@ -50,8 +24,8 @@ shared_secrets = Table(
     "shared_secrets",
     metadata,
     Column("name", Text, primary_key=True),
-    text_column("value"),
-    time_column("created_at"),
+    Column("value", Text, nullable=False),
+    Column("created_at", Double, nullable=False),
 )
 
 # Codes of one-time links for browsers.
@@ -59,12 +33,13 @@ login_codes = Table(
     "login_codes",
     metadata,
     Column("code_sha256", Text, primary_key=True),
-    text_column("tenant_id"),
-    time_column("created_at"),
-    time_column("expires_at"),
-    *maker_columns(),
+    Column("tenant_id", Text, nullable=False),
+    Column("created_at", Double, nullable=False),
+    Column("expires_at", Double, nullable=False),
+    Column("maker_user_id", Text),
+    Column("maker_key_id", Text),
     # Hash of the token of the session in which it was made; null: in none
-    optional_text_column("maker_session"),
+    Column("maker_session", Text),
     Index(None, "expires_at"),
 )
 
@@ -72,13 +47,13 @@ login_codes = Table(
 run_log_pieces = Table(
     "run_log_pieces",
     metadata,
-    text_column("job_id"),
+    Column("job_id", Text, nullable=False),
     Column("run", Integer, nullable=False),
     # Offset in the file
     Column("start", Double, nullable=False),
-    text_column("tenant_id"),
+    Column("tenant_id", Text, nullable=False),
     # Which server has the file
-    text_column("server_id"),
+    Column("server_id", Text, nullable=False),
     Column("data", LargeBinary, nullable=False),
     PrimaryKeyConstraint("job_id", "run", "start"),
     Index(None, "server_id"),
@@ -88,10 +63,10 @@ run_log_pieces = Table(
 run_logs = Table(
     "run_logs",
     metadata,
-    text_column("job_id"),
+    Column("job_id", Text, nullable=False),
     Column("run", Integer, nullable=False),
-    text_column("tenant_id"),
-    text_column("sha256"),
+    Column("tenant_id", Text, nullable=False),
+    Column("sha256", Text, nullable=False),
     Column("size_bytes", Double, nullable=False),
     PrimaryKeyConstraint("job_id", "run"),
     Index(None, "sha256"),
@@ -102,5 +77,21 @@ schema_info = Table(
     "schema_info",
     metadata,
     Column("name", Text, primary_key=True),
-    text_column("value"),
+    Column("value", Text, nullable=False),
+)
+
+# Whoever writes or deletes the bytes of a hash, which tenants share, locks its row in whichever process.
+blob_claims = Table(
+    "blob_claims",
+    metadata,
+    Column("sha256", Text, primary_key=True),
+    # "kept" or "deleting".
+    Column("state", Text, nullable=False),
+    # Changes when a deletion begins, so that a writer notices one that came in between.
+    Column("token", Text, nullable=False),
+    Column("claimed_at", Double, nullable=False),
+    # When the scrubber compared the bytes with the hash; 0: never.
+    Column("checked_at", Double, nullable=False, server_default="0"),
+    Index(None, "state"),
+    Index(None, "checked_at"),
 )

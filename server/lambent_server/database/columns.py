@@ -1,4 +1,4 @@
-"""The kinds of columns that tables have, the registry of all tables, and the clock of the database."""
+"""The registry of all tables, and what both databases say differently: upserts, sequences, the clock."""
 
 from importlib import import_module
 from typing import Any
@@ -8,10 +8,8 @@ from sqlalchemy import (
     ColumnElement,
     Connection,
     Double,
-    Integer,
     MetaData,
     Table,
-    Text,
     cast,
     extract,
     func,
@@ -30,36 +28,6 @@ metadata = MetaData(
 )
 
 
-def text_column(name: str) -> Column[str]:
-    """Return a column of a text."""
-    return Column(name, Text, nullable=False)
-
-
-def time_column(name: str) -> Column[float]:
-    """Return a column of a time."""
-    return Column(name, Double, nullable=False)
-
-
-def count_column(name: str) -> Column[int]:
-    """Return a column of a whole number, 0 by default."""
-    return Column(name, Integer, nullable=False, default=0)
-
-
-def id_column() -> Column[str]:
-    """Return the column of the key `id`."""
-    return Column("id", Text, primary_key=True)
-
-
-def optional_text_column(name: str) -> Column[str | None]:
-    """Return a column of a text or null."""
-    return Column(name, Text)
-
-
-def optional_time_column(name: str) -> Column[float | None]:
-    """Return a column of a time or null."""
-    return Column(name, Double)
-
-
 def insert_or(connection: Connection, table: Table) -> Any:
     """Return an INSERT into `table` that can say what happens where the key exists (`on_conflict_...`)."""
     # The engine has imported one of them already; the other would only cost start-up time.
@@ -74,11 +42,6 @@ def next_number(connection: Connection, column: Column[int]) -> ColumnElement[in
     if connection.dialect.name == "postgresql":
         return func.nextval(f"{column.table.name}_{column.name}")
     return select(func.coalesce(func.max(column), 0) + 1).scalar_subquery()
-
-
-def maker_columns() -> tuple[Column[str | None], Column[str | None]]:
-    """Return the columns of the user or the key that made a row; neither: the server, or an operator."""
-    return optional_text_column("maker_user_id"), optional_text_column("maker_key_id")
 
 
 def clock_time(connection: Connection) -> ColumnElement[float]:

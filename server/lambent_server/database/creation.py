@@ -9,11 +9,10 @@ import structlog
 from sqlalchemy import Connection, insert, text
 from sqlalchemy.exc import DBAPIError
 
-from lambent_server.database import blob_tables  # noqa: F401 (its tables belong to the metadata)
+from lambent_server.database import schema  # noqa: F401 (all tables belong to the metadata)
 from lambent_server.database.cluster_schema import leadership, schema_info
-from lambent_server.database.columns import clock_time
+from lambent_server.database.columns import clock_time, metadata
 from lambent_server.database.people_schema import organisations
-from lambent_server.database.schema import metadata
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID
 
 log = structlog.get_logger()

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from sqlalchemy import Connection, Engine, ExceptionContext, create_engine, event, text
+from sqlalchemy import Connection, Engine, ExceptionContext, create_engine, event, func, select, text
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import DBAPIError
 
@@ -24,6 +24,7 @@ MIGRATIONS = Path(__file__).parent / "migrations"
 _MIGRATION_LOCK = 0x1A4BE49
 _READ_ONLY_STATE = "25006"
 READ_ONLY = "read-only"
+CHANNEL = "lambent_changes"
 
 
 def is_read_only(error: DBAPIError) -> bool:
@@ -160,6 +161,12 @@ class Database:
     def close(self) -> None:
         """Close every connection."""
         self.engine.dispose()
+
+
+def announce(connection: Connection, payload: str = "") -> None:
+    """Announce a change of jobs to every server when the transaction commits; once, however often called."""
+    if connection.dialect.name == "postgresql":
+        connection.execute(select(func.pg_notify(CHANNEL, payload)))
 
 
 def _leave_read_only(context: ExceptionContext) -> None:

@@ -12,8 +12,7 @@ from psycopg import AsyncConnection, Error
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import SQLAlchemyError
 
-from lambent_server.database.announcing import CHANNEL, announce
-from lambent_server.database.engine import Database
+from lambent_server.database.engine import CHANNEL, Database, announce
 
 log = structlog.get_logger()
 

@@ -8,7 +8,7 @@ from sqlalchemy import ColumnElement, Connection, FromClause, RowMapping, and_, 
 
 from lambent_server.accounts.usage import add_gpu_time
 from lambent_server.core.clock import now
-from lambent_server.database.announcing import announce
+from lambent_server.database.engine import announce
 from lambent_server.database.model import JobRow
 from lambent_server.database.schema import events, jobs
 from lambent_server.database.tenancy import Tenant, change, rows

@@ -10,7 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server.cluster.claims import KEPT
 from lambent_server.core.clock import now
-from lambent_server.database.blob_tables import blob_claims
+from lambent_server.database.cluster_schema import blob_claims
 from lambent_server.database.schema import blobs
 from lambent_server.services import Services
 from lambent_server.storage.content_checks import BLOBS, GZIP

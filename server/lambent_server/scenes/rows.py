@@ -94,7 +94,7 @@ def create(
     if known is not None:
         return require_scene(connection, tenant, known)
     values = {"name": order.name, "labels": order.labels, "state": "open", "created_at": now()}
-    connection.execute(add(tenant, scenes, id=identifier, **values))
+    connection.execute(add(tenant, scenes, id=identifier, size_bytes=0.0, **values))
     label_rows.store(connection, tenant, identifier, order.labels)
     return require_scene(connection, tenant, identifier)
 

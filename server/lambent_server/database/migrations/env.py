@@ -1,8 +1,8 @@
 """Run by alembic with the connection that `Database.migrate` holds."""
 
 from alembic import context
-from lambent_server.database import blob_tables  # noqa: F401 (its tables belong to the metadata)
-from lambent_server.database.schema import metadata
+from lambent_server.database import schema  # noqa: F401 (all tables belong to the metadata)
+from lambent_server.database.columns import metadata
 
 # One by one: locks of the first are not held while the last builds its indexes.
 context.configure(
