@@ -1,8 +1,8 @@
 """Fail for functions that are hard to read: more than 60 lines, or more than 8 parameters.
 
 Decorators and docstrings do not count, nor do `self` and `cls`. A module of under 25 lines belongs to its
-neighbour, unless it is a registry. `OWED` lists the
-places that are older than the rule: it may only get shorter.
+neighbour, unless it is a registry. `OWED` lists the places that are older than the rule: it may only get
+shorter. Modules that import each other in a circle fail too, wherever in a module the import is.
 """
 
 import ast
@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from fnmatch import fnmatch
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -73,6 +74,38 @@ def problems(sources: dict[str, str]) -> dict[str, str]:
     return wrong
 
 
+def imports(sources: dict[str, str]) -> dict[str, set[str]]:
+    """Return the modules that each module imports, of these alone, by dotted names."""
+    names = {}
+    for path in sources:
+        folder = next(each for each in FOLDERS if path.startswith(f"{each}/"))
+        dotted = path.removeprefix(f"{folder}/").removesuffix(".py").replace("/", ".")
+        names[path] = dotted.removesuffix(".__init__")
+    known, graph = set(names.values()), {}
+    for path, text in sources.items():
+        name, wanted = names[path], set()
+        package = name.split(".") if path.endswith("__init__.py") else name.split(".")[:-1]
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Import):
+                wanted |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                above = package[: len(package) - node.level + 1] if node.level else []
+                origin = ".".join([*above, *filter(None, [node.module])])
+                parts = {f"{origin}.{alias.name}" for alias in node.names}
+                wanted |= parts & known or {origin}
+        graph[name] = (wanted & known) - {name}
+    return graph
+
+
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """Return modules of which each imports the next one, and the first is the last; none without a circle."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(reversed(error.args[1]))
+    return []
+
+
 def tracked(*patterns: str) -> list[Path]:
     """Return the files matching these patterns that git tracks or does not ignore."""
     command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "--", *patterns]
@@ -89,6 +122,8 @@ def main() -> int:
         OWED.write_text("".join(f"{place}\n" for place in sorted(wrong)), encoding="utf-8")
     owed = set(OWED.read_text(encoding="utf-8").split())
     new = [f"{place}: {wrong[place]}" for place in sorted(wrong.keys() - owed)]
+    if ring := circle(imports(sources)):
+        new.append(f"modules import each other in a circle: {' -> '.join(ring)}")
     done = [f"{place}: no longer owed; take it out of {OWED.name}" for place in sorted(owed - wrong.keys())]
     print("\n".join(new + done) or f"functions of {len(sources)} modules, {len(owed)} places owed")
     return bool(new or done)

@@ -1,7 +1,8 @@
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from check_functions import problems, tracked
+from check_functions import circle, imports, problems, tracked
 
 PADDING = "\n" * 25
 
@@ -38,3 +39,20 @@ def test_kernels_may_be_long_and_commands_have_many_options():
 
 def test_this_file_is_among_the_tracked_ones():
     assert Path(__file__).resolve() in tracked("*.py")
+
+
+def test_a_circle_of_imports_is_found_also_inside_of_functions():
+    sources = {
+        "worker/a/__init__.py": "from .b import f",
+        "worker/a/b.py": "def f():\n    from a import c",
+        "worker/a/c.py": "import a.d",
+        "worker/a/d.py": "from a.b import f",
+        "server/e.py": "import a.c, os",
+    }
+    graph = imports(sources)
+    assert graph == {"a": {"a.b"}, "a.b": {"a.c"}, "a.c": {"a.d"}, "a.d": {"a.b"}, "e": {"a.c"}}
+    ring = circle(graph)
+    assert ring[0] == ring[-1]
+    assert set(ring) == {"a.b", "a.c", "a.d"}
+    assert all(other in graph[one] for one, other in pairwise(ring))
+    assert circle(graph | {"a.d": set()}) == []

@@ -8,16 +8,20 @@ import copy
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
+from lambent_compute import blocks
 from torch import Tensor, nn
 
 from flashcache.encoding.directional import positional_encoding
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.encoding.turns import LightTurns
 from flashcache.fields.mlp import Hidden, linear
+from flashcache.fields.packing import Layers, arrays_of, packed_grid, packed_lights
 from flashcache.geometry.contraction import contract
-from flashcache.kernels import dispatch
+from flashcache.kernels import dispatch, fast_query
+from flashcache.kernels.cpu import over_rows
 from flashcache.volume.proposal_sampling import SECONDARY_CURVE
 
 LEAST_OPACITY = 1e-3
@@ -118,9 +122,7 @@ class FastCache(nn.Module):
         Source: supplement 2.1; the explicit product of colour and opacity makes empty rays black.
         """
         if dispatch.answers_compiled(origins, directions, self.distance_grid.table) and self._is_plain:
-            from flashcache.caches import compiled_fast
-
-            return compiled_fast.answer(self, origins, directions, light_index)
+            return self._answer_compiled(origins, directions, light_index)
         count = self.config.num_samples
         contracted = contract(origins, self.contraction_radius)
         encoded = [
@@ -147,6 +149,49 @@ class FastCache(nn.Module):
         distance = torch.where(opacity < LEAST_OPACITY, torch.full_like(mean, self.far), mean)
         # Differs from the paper: colour times opacity (docs/decisions/0019-small-departures.md).
         return FastCacheAnswer(opacity[:, None] * colour, opacity, distance, distances, weights)
+
+    def _answer_compiled(self, origins: Tensor, directions: Tensor, light_index: Tensor) -> FastCacheAnswer:
+        """Return what `forward` does in torch, up to rounding; the decoder must see nothing but features."""
+        layers = Layers()
+        for layer in self.code.layers:
+            layers.add(layer, blocks.RELU)
+        layers.add_hidden(self.distance_network, self.distance_head)
+        for layer in self.decoder:
+            layers.add(layer, blocks.RELU)
+        layers.add(self.decoder_head)
+        start, end = (SECONDARY_CURVE.ladder(torch.tensor(limit)) for limit in (self.near, self.far))
+        count, num_rays = self.config.num_samples, len(origins)
+        query = fast_query.FastQuery(
+            num_code=len(self.code.layers),
+            num_distance=len(self.distance_network.layers),
+            num_samples=count,
+            num_lights=self.num_lights,
+            position_frequencies=self.position_frequencies,
+            direction_frequencies=self.config.num_frequencies,
+            inverse_radius=np.float32(1.0 / self.contraction_radius),
+            colour_bias=np.float32(self.colour_bias),
+            far=np.float32(self.far),
+            start=np.float32(start.item()),
+            length=np.float32((end - start).item()),
+            ladder=SECONDARY_CURVE.inverse_constants,
+            widest=max(layers.widest, self.feature_grid.out_features),
+            least_opacity=np.float32(LEAST_OPACITY),
+        )
+        shapes = (num_rays, 3), num_rays, num_rays, (num_rays, count), (num_rays, count)
+        answer = FastCacheAnswer(*(torch.empty(shape) for shape in shapes))
+        over_rows(
+            fast_query.answer,
+            num_rays,
+            fast_query.RAYS,
+            *arrays_of(origins, directions),
+            packed_lights(light_index, self.num_lights),
+            packed_grid(self.distance_grid),
+            packed_grid(self.feature_grid),
+            layers.packed(),
+            query,
+            *arrays_of(*answer),
+        )
+        return answer
 
     def at_turn(self, light_index: int) -> "FastCache":
         """Return the cache for one turn of the light: one that knows of no turns, with the same answers."""

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import NamedTuple, cast
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
@@ -20,8 +21,10 @@ from flashcache.fields.density import (
     NormalField,
     derived_normal,
 )
+from flashcache.fields.packing import Layers, arrays_of, packed_grid, packed_occupancy
 from flashcache.geometry.rays import Rays
-from flashcache.kernels import dispatch
+from flashcache.kernels import dispatch, ray_query
+from flashcache.kernels.cpu import over_rows
 from flashcache.randomness import uniform
 from flashcache.rows import Rows
 from flashcache.volume.proposal_sampling import (
@@ -34,6 +37,10 @@ from flashcache.volume.proposal_sampling import (
     sample_rays,
 )
 from flashcache.volume.quadrature import draw_points, render_weights
+
+NEGLIGIBLE = 1e-7
+"""Factor up to which a point's radiance is left out where its density is not known to torch anyway: less than
+the rounding of what the others add up to."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -107,6 +114,17 @@ class Meeting(NamedTuple):
     hidden: Float[Tensor, "points width"]
     factors: Float[Tensor, "rays repeats"]
     """Weight of each point's radiance in that of the ray (paper Eqs. 3 and 11)."""
+
+
+class _Met(NamedTuple):
+    """As `Meeting`."""
+
+    opacity: Tensor
+    distance: Tensor
+    positions: Tensor
+    hidden: Tensor | None
+    """None where compiled code sampled the rays, which keeps no features."""
+    factors: Tensor
 
 
 class NerfCache(nn.Module):
@@ -213,7 +231,7 @@ class NerfCache(nn.Module):
             rows = Rows.where(geometry.weights.detach().reshape(-1) > self.config.least_weight)
         point = rows.of(torch.arange(len(positions), device=positions.device))
         ray = point.div(num_samples, rounding_mode="floor")
-        found = self.appearance(
+        appearance = self.appearance(
             rows.of(positions),
             rows.of(geometry.hidden),
             rows.of(geometry.normal),
@@ -222,7 +240,7 @@ class NerfCache(nn.Module):
             with_specular=with_specular,
         )
         nothing = torch.zeros_like(positions)
-        return Appearance(*(rows.into(nothing, part) for part in found))
+        return Appearance(*(rows.into(nothing, part) for part in appearance))
 
     def incident(
         self,
@@ -244,11 +262,11 @@ class NerfCache(nn.Module):
         narrow = self.occupancy.narrowed(rays)
         rows = Rows.where(narrow.far > narrow.near)
         met = narrow if rows.index is None else narrow.select(rows.index)
-        found = self._incident(met, rows.of(light_index), generator, jitter=jitter)
-        opacity = rows.into(torch.zeros_like(rays.far), found.opacity)
-        distance = rows.into(rays.far, found.distance)
+        answer = self._incident(met, rows.of(light_index), generator, jitter=jitter)
+        opacity = rows.into(torch.zeros_like(rays.far), answer.opacity)
+        distance = rows.into(rays.far, answer.distance)
         return CacheAnswer(
-            rows.into(torch.zeros_like(rays.origins), found.near_radiance),
+            rows.into(torch.zeros_like(rays.origins), answer.near_radiance),
             opacity,
             torch.where(opacity < 1e-3, rays.far, distance),
         )
@@ -262,29 +280,23 @@ class NerfCache(nn.Module):
         jitter: bool,
     ) -> CacheAnswer:
         num_colours = self.config.secondary_colours if generator is not None else 0
-        if self._samples_compiled(rays, jitter=jitter):
-            from flashcache.caches import compiled_nerf
-
-            return compiled_nerf.incident(self, rays, light_index, num_colours, generator)
         sure_from = self.config.secondary_sure_opacity if num_colours else 0.0
         met = self._meet(rays, num_colours, generator, jitter=jitter, sure_from=sure_from)
         repeats, num_points = met.factors.shape[-1], len(met.positions)
         rows = Rows.all(num_points, met.positions.device)
-        if sure_from:
-            rows = Rows.where(met.factors.detach().reshape(-1) > 0.0)
+        if met.hidden is None or sure_from:
+            least = NEGLIGIBLE if met.hidden is None else 0.0
+            rows = Rows.where(met.factors.detach().reshape(-1) > least)
         point = rows.of(torch.arange(num_points, device=met.positions.device))
         ray = point.div(repeats, rounding_mode="floor")
-        positions, hidden = rows.of(met.positions), rows.of(met.hidden)
-        found = self.appearance(
+        positions = rows.of(met.positions)
+        hidden = self.density(positions).hidden if met.hidden is None else rows.of(met.hidden)
+        sent = self.appearance(
             positions, hidden, self.normals(positions, hidden), -rays.directions[ray], light_index[ray]
         ).radiance
-        radiance = rows.into(torch.zeros_like(met.positions), found).reshape(len(rays), repeats, 3)
+        radiance = rows.into(torch.zeros_like(met.positions), sent).reshape(len(rays), repeats, 3)
         near = (met.factors[..., None] * radiance).sum(dim=1)
         return CacheAnswer(near, met.opacity, met.distance)
-
-    def _samples_compiled(self, rays: Rays, *, jitter: bool) -> bool:
-        """Return whether compiled code samples secondary rays, with intervals that are not moved."""
-        return not jitter and dispatch.answers_compiled(rays.origins, rays.near, self.density.grid.table)
 
     def meet(
         self, rays: Rays, num_points: int, generator: torch.Generator | None, *, jitter: bool = False
@@ -296,7 +308,9 @@ class NerfCache(nn.Module):
         """
         narrow = rays if self.occupancy is None else self.occupancy.narrowed(rays)
         met = self._meet(narrow, num_points, generator, jitter=jitter)
-        return met._replace(distance=torch.where(met.opacity < 1e-3, rays.far, met.distance))
+        hidden = self.density(met.positions).hidden if met.hidden is None else met.hidden
+        distance = torch.where(met.opacity < 1e-3, rays.far, met.distance)
+        return Meeting(met.opacity, distance, met.positions, hidden, met.factors)
 
     def _meet(
         self,
@@ -306,29 +320,49 @@ class NerfCache(nn.Module):
         *,
         jitter: bool,
         sure_from: float = 0.0,
-    ) -> Meeting:
-        if self._samples_compiled(rays, jitter=jitter):
-            from flashcache.caches import compiled_nerf
-
-            return compiled_nerf.meet(self, rays, num_points, generator)
-        counts = self.config.secondary_counts
-        samples = self.sample(
-            rays,
-            counts,
-            SECONDARY_CURVE,
-            exponent=self.config.exponent,
-            generator=generator if jitter else None,
-        )
-        points = samples.positions.reshape(-1, 3)
-        found = self.density(points)
-        weights = render_weights(found.density.reshape(len(rays), counts.final), samples.distances)
+    ) -> _Met:
+        # Compiled code samples secondary rays where no gradients are recorded and intervals are not moved.
+        if not jitter and dispatch.answers_compiled(rays.origins, rays.near, self.density.grid.table):
+            weights, middles = self._sample_compiled(rays)
+            points, hidden = rays.at(middles).reshape(-1, 3), None
+        else:
+            counts, exponent = self.config.secondary_counts, self.config.exponent
+            jittered = generator if jitter else None
+            samples = self.sample(rays, counts, SECONDARY_CURVE, exponent=exponent, generator=jittered)
+            points, middles = samples.positions.reshape(-1, 3), midpoints(samples.distances)
+            density, hidden = self.density(points)
+            weights = render_weights(density.reshape(middles.shape), samples.distances)
         opacity = weights.sum(dim=-1)
-        middles = midpoints(samples.distances)
         distance = (weights * middles).sum(dim=-1) / opacity.clamp_min(1e-3)
         distance = torch.where(opacity < 1e-3, rays.far, distance)
         if not num_points:
-            return Meeting(opacity, distance, points, found.hidden, weights)
+            return _Met(opacity, distance, points, hidden, weights)
         u = uniform((len(rays), num_points), generator, weights.device)
         draw = draw_points(weights, u, sure_from=sure_from)
-        flat = (draw.index + counts.final * torch.arange(len(rays), device=u.device)[:, None]).reshape(-1)
-        return Meeting(opacity, distance, points[flat], found.hidden[flat], draw.weight)
+        first = weights.shape[1] * torch.arange(len(rays), device=u.device)
+        flat = (draw.index + first[:, None]).reshape(-1)
+        return _Met(opacity, distance, points[flat], None if hidden is None else hidden[flat], draw.weight)
+
+    def _sample_compiled(self, rays: Rays) -> tuple[Float[Tensor, "rays samples"], ...]:
+        """Return render weights and middles of the final intervals of secondary rays, without jitter."""
+        layers, counts = Layers(), self.config.secondary_counts
+        fields = [cast(DensityField, field) for field in (*self.proposals, self.density)]
+        settings = tuple(field.packed(layers) for field in fields)
+        start, end = (SECONDARY_CURVE.ladder(limit) for limit in (rays.near, rays.far))
+        weights, middles = torch.empty(2, len(rays), counts.final)
+        over_rows(
+            ray_query.sample,
+            len(rays),
+            ray_query.RAYS,
+            *arrays_of(rays.origins, rays.directions, start, end - start),
+            SECONDARY_CURVE.inverse_constants,
+            (counts.first, counts.second, counts.final),
+            np.float32(self.config.exponent),
+            tuple(packed_grid(field.grid) for field in fields),
+            layers.packed(),
+            settings,
+            *packed_occupancy(self.occupancy),
+            layers.widest,
+            *arrays_of(weights, middles),
+        )
+        return weights, middles

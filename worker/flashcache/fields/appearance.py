@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
@@ -15,9 +16,11 @@ from flashcache.encoding.directional import IntegratedDirectionalEncoding, posit
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.encoding.turns import LightTurns
 from flashcache.fields.mlp import Hidden, linear
+from flashcache.fields.packing import Layers, arrays_of, packed_grid, packed_lights
 from flashcache.geometry.contraction import contract
 from flashcache.geometry.directions import reflect
-from flashcache.kernels import dispatch
+from flashcache.kernels import dispatch, surface_query
+from flashcache.kernels.cpu import over_rows
 
 RADIANCE_MAXIMUM = 1e4
 FACTOR_BIAS = math.log(3.0)
@@ -134,10 +137,8 @@ class AppearanceField(nn.Module):
         """
         plain = self.config.architecture == "ide" and self.turns is None
         if plain and dispatch.answers_compiled(positions, hidden, normal, omega_o, self.grid.table):
-            from flashcache.fields import compiled_surface
-
-            inputs = positions, hidden, normal, omega_o, light_index
-            return compiled_surface.outgoing(self, *inputs, with_specular=with_specular)
+            inputs = positions, hidden, normal, omega_o
+            return self._answer_compiled(inputs, light_index, with_specular=with_specular)
         encoded = self.grid(contract(positions, self.contraction_radius))
         features = torch.cat([hidden, encoded], dim=-1)
         raw = self.heads(features)
@@ -163,6 +164,48 @@ class AppearanceField(nn.Module):
         )
         specular = (tint * factor * reflected).clamp_max(RADIANCE_MAXIMUM)
         return Appearance(diffuse, specular, irradiance)
+
+    def _answer_compiled(
+        self, inputs: tuple[Tensor, ...], light_index: Tensor, *, with_specular: bool
+    ) -> Appearance:
+        """Return what `forward` does in torch, up to rounding; for the architecture `ide` without turns."""
+        layers, directional = Layers(), self.directional
+        layers.add_matrix(directional.polynomials.T)
+        # Each term has one of the powers of x + iy.
+        orders = directional.orders.to(torch.int64).argmax(dim=0)
+        layers.add(self.heads).add(self.bottleneck)
+        factor = len(layers.rows)
+        layers.add_hidden(self.factor, self.factor_head)
+        reflection = len(layers.rows)
+        layers.add_hidden(self.reflection, self.reflection_head)
+        query = surface_query.Appearance(
+            factor=factor,
+            reflection=reflection,
+            end=len(layers.rows),
+            num_lights=self.num_lights,
+            view_frequencies=self.view_frequencies,
+            inverse_radius=np.float32(1.0 / self.contraction_radius),
+            width_bias=np.float32(self.config.width_bias),
+            factor_bias=np.float32(FACTOR_BIAS),
+            most=np.float32(RADIANCE_MAXIMUM),
+            with_specular=with_specular,
+        )
+        count = len(light_index)
+        outgoing = Appearance(*torch.empty(3, count, 3))
+        over_rows(
+            surface_query.outgoing,
+            count,
+            surface_query.POINTS,
+            *arrays_of(*inputs),
+            packed_lights(light_index, self.num_lights),
+            packed_grid(self.grid),
+            layers.packed(),
+            query,
+            surface_query.Directional(*arrays_of(orders, directional.rates)),
+            layers.widest,
+            *arrays_of(*outgoing),
+        )
+        return outgoing
 
     def _turned(self, bottleneck: Tensor, normal: Tensor, light_index: Tensor) -> Tensor:
         """Return what the turn of the light adds to the raw diffuse colour and irradiance."""

@@ -6,6 +6,7 @@ Positions are world coordinates; density is in 1/scene unit.
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -13,8 +14,10 @@ from torch import Tensor, nn
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.encoding.occupancy import Occupancy
 from flashcache.fields.mlp import Hidden, linear
+from flashcache.fields.packing import NO_GRID, Layers, arrays_of, packed_grid, packed_occupancy
 from flashcache.geometry.contraction import contract, contract_vjp
-from flashcache.kernels import dispatch
+from flashcache.kernels import density_query, dispatch, surface_query
+from flashcache.kernels.cpu import over_rows
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -74,11 +77,40 @@ class DensityField(nn.Module):
         Without gradients one compiled function answers, where there is one (`dispatch.answers_compiled`).
         """
         if dispatch.answers_compiled(positions, self.grid.table):
-            from flashcache.fields import compiled_density
-
-            return compiled_density.sample(self, positions)
+            return self._answer_compiled(positions)
         hidden = self.network(self.grid(contract(positions, self.contraction_radius)))
         return DensitySample(self._density(self.head(hidden)[:, 0], positions), hidden)
+
+    def packed(self, layers: Layers) -> density_query.Density:
+        """Add the networks to `layers` and return what else compiled queries read of the field."""
+        begin = len(layers.rows)
+        layers.add_hidden(self.network, self.head)
+        return density_query.Density(
+            begin=begin,
+            end=len(layers.rows),
+            sharpness=np.float32(self.network.softplus_beta or 1.0),
+            bias=np.float32(self.config.bias),
+            inverse_radius=np.float32(1.0 / self.contraction_radius),
+        )
+
+    def _answer_compiled(self, positions: Float[Tensor, "points 3"]) -> DensitySample:
+        """Return what `forward` does in torch, up to rounding."""
+        layers, count = Layers(), len(positions)
+        query = self.packed(layers)
+        sample = DensitySample(torch.empty(count), torch.empty(count, self.network.num_outputs))
+        over_rows(
+            density_query.samples,
+            count,
+            density_query.POINTS,
+            *arrays_of(positions),
+            packed_grid(self.grid),
+            layers.packed(),
+            query,
+            *packed_occupancy(self.occupancy),
+            layers.widest,
+            *arrays_of(*sample),
+        )
+        return sample
 
     def density(self, positions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
         """Return the density alone, for any batch shape."""
@@ -148,12 +180,35 @@ class NormalField(nn.Module):
         Without gradients one compiled function answers, where there is one (`dispatch.answers_compiled`).
         """
         if dispatch.answers_compiled(positions, hidden, self.head.weight):
-            from flashcache.fields import compiled_surface
-
-            return compiled_surface.normals(self, positions, hidden)
+            return self._answer_compiled(positions, hidden)
         if self.grid is None or self.network is None:
             raw = self.head(hidden)
         else:
             features = self.grid(contract(positions, self.contraction_radius))
             raw = self.head(self.network(torch.cat([features, hidden.detach()], dim=-1)))
         return -torch.nn.functional.normalize(raw, dim=-1, eps=1e-8)
+
+    def _answer_compiled(
+        self, positions: Float[Tensor, "points 3"], hidden: Float[Tensor, "points width"]
+    ) -> Float[Tensor, "points 3"]:
+        """Return what `forward` does in torch, up to rounding."""
+        normals = torch.empty_like(positions, memory_format=torch.contiguous_format)
+        grid, layers = NO_GRID, Layers()
+        if self.grid is None or self.network is None:
+            layers.add(self.head)
+        else:
+            grid = packed_grid(self.grid)
+            layers.add_hidden(self.network, self.head)
+        over_rows(
+            surface_query.normals,
+            len(positions),
+            surface_query.POINTS,
+            *arrays_of(positions, hidden),
+            self.grid is not None,
+            grid,
+            layers.packed(),
+            np.float32(1.0 / self.contraction_radius),
+            layers.widest,
+            *arrays_of(normals),
+        )
+        return normals

@@ -5,6 +5,7 @@ their values change from step to step.
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from torch import Tensor, nn
 from flashcache.encoding.hash_grid import HashGrid
 from flashcache.encoding.occupancy import Occupancy
 from flashcache.fields.mlp import Hidden
-from flashcache.kernels import cpu, lookup
+from flashcache.kernels import cpu, density_query, lookup
 
 
 def packed_grid(grid: HashGrid | Occupancy) -> lookup.Grid:
@@ -29,7 +30,22 @@ def packed_grid(grid: HashGrid | Occupancy) -> lookup.Grid:
 NO_GRID = lookup.Grid(
     np.zeros((1, 1), np.float32), np.zeros((0, 6), np.uint64), np.zeros((0, 3), np.float32), np.float32(1.0)
 )
-"""Stands for a grid that is not there, of the same types."""
+"""Stands for a grid that does not exist, of the same types."""
+_NO_BOX = density_query.Box(False, np.zeros(3, np.float32), np.zeros(3, np.float32))
+
+
+def packed_occupancy(occupancy: Occupancy | None) -> tuple[lookup.Grid, density_query.Box]:
+    """Return the grid of an occupancy and its box, or stand-ins of the same types."""
+    if occupancy is None:
+        return NO_GRID, _NO_BOX
+    half = 0.5 * (occupancy.high - occupancy.low)
+    box = density_query.Box(True, (occupancy.low + half).numpy(), half.reciprocal().numpy())
+    return packed_grid(occupancy), box
+
+
+def arrays_of(*tensors: Tensor) -> tuple[NDArray[Any], ...]:
+    """Return tensors as the contiguous arrays that compiled code reads."""
+    return tuple(tensor.contiguous().numpy() for tensor in tensors)
 
 
 @dataclass
@@ -77,10 +93,11 @@ class Layers:
 def packed_lights(light_index: Int[Tensor, " rows"], num_lights: int) -> NDArray[np.int64]:
     """Return light indices for compiled code, which does not check them.
 
-    Raises IndexError for a light that is not there.
+    Raises IndexError for a light that does not exist.
     """
     if num_lights > 1 and len(light_index):
         least, most = (int(end) for end in light_index.aminmax())
         if least < 0 or most >= num_lights:
             raise IndexError(f"light indices {least} to {most} for {num_lights} lights")
-    return light_index.to(torch.int64).contiguous().numpy()
+    (array,) = arrays_of(light_index.to(torch.int64))
+    return array

@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from lambent_compute.compiling import compiled, inlined
 from numpy.typing import NDArray
 
@@ -122,6 +123,28 @@ def _over_points(
     step = BLOCK * math.ceil(num_points / (BLOCK * pieces))
     starts = range(0, num_points, step)
     in_pool(lambda first: kernel(first, min(first + step, num_points), *arguments), starts, num_threads)
+
+
+def over_rows(kernel: Kernel, num_rows: int, block: int, *arguments: Any) -> None:
+    """Run `kernel(begin, end, *arguments)` for all rows, in as many pieces as torch has threads.
+
+    A piece is made of blocks of `block` rows, at least two: below that a thread costs more than it saves.
+    The results do not depend on the number of threads, for each block is what it would be without others.
+    Named tuples are handed over as plain ones: numba's cache would not survive a change of their classes.
+    """
+    threads = torch.get_num_threads()
+    pieces = min(threads, num_rows // (2 * block))
+    arguments = _plain(arguments)
+    if pieces <= 1:
+        kernel(0, num_rows, *arguments)
+        return
+    step = block * math.ceil(num_rows / (pieces * block))
+    starts = range(0, num_rows, step)
+    in_pool(lambda begin: kernel(begin, min(begin + step, num_rows), *arguments), starts, threads)
+
+
+def _plain(argument: Any) -> Any:
+    return tuple(map(_plain, argument)) if isinstance(argument, tuple) else argument
 
 
 def in_pool(function: Callable[[int], Any], values: Sequence[int], num_threads: int) -> None:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from flashcache.geometry.octahedron import octahedral_directions, octahedral_solid_angles
-from flashcache.kernels.ranges import over_rows
+from flashcache.kernels.cpu import over_rows
 from flashcache.physical.brdf import DIELECTRIC_F0
 from flashcache.polish import compiled_fit
 from flashcache.polish.elements import Elements
@@ -170,4 +170,4 @@ def _sweep(
     )
     arrays = tuple(np.ascontiguousarray(part.numpy()) for part in arguments[:-3])
     arrays += tuple(part.numpy() for part in arguments[-3:])
-    over_rows(lambda begin, end: compiled_fit.sweep(begin, end, first_tilt, *arrays), len(rows), BLOCK)
+    over_rows(compiled_fit.sweep, len(rows), BLOCK, first_tilt, *arrays)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from flashcache.geometry.octahedron import octahedral_directions, octahedral_solid_angles
-from flashcache.kernels.ranges import over_rows
+from flashcache.kernels.cpu import over_rows
 from flashcache.physical.brdf import DIELECTRIC_F0
 from flashcache.polish import compiled_fit
 from flashcache.polish.elements import Elements
@@ -57,7 +57,7 @@ def specular_sums(
     )  # fmt: skip
     arrays = tuple(np.ascontiguousarray(part.numpy()) for part in given)
     rest = (directions, tables.clear.numpy(), tables.near.numpy(), fine, cells, weights, constant)
-    over_rows(lambda begin, end: compiled_fit.reflections(begin, end, *arrays, *rest), count, BLOCK)
+    over_rows(compiled_fit.reflections, count, BLOCK, *arrays, *rest)
     return cells, weights, constant
 
 
@@ -92,7 +92,7 @@ class Prediction:
         sky = np.ascontiguousarray(sky, np.float32)
         found = np.empty_like(self.constant)
         arrays = (self.cells, self.weights, self.f0, self.light, sky, found)
-        over_rows(lambda begin, end: compiled_fit.reflected(begin, end, *arrays), len(found), BLOCK)
+        over_rows(compiled_fit.reflected, len(found), BLOCK, *arrays)
         found += self.constant
         for light in range(self.lights):
             rows = slice(None) if self.lights == 1 else self.light == light
@@ -106,7 +106,7 @@ class Prediction:
         parts = math.ceil(len(residual) / ROWS)
         found = np.zeros((parts, self.lights, self.fine**2, 3), np.float32)
         arrays = (ROWS, self.cells, self.weights, self.f0, self.light, residual, found)
-        over_rows(lambda begin, end: compiled_fit.gathered(begin, end, *arrays), parts, 1)
+        over_rows(compiled_fit.gathered, parts, 1, *arrays)
         gradient = found.sum(axis=0)
         for light in range(self.lights):
             of_light = residual if self.lights == 1 else residual * (self.light == light)[:, None]

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-from flashcache.caches import compiled_fast
 from flashcache.caches.fast_cache import FastCache, FastCacheAnswer, FastCacheConfig
 from flashcache.encoding.hash_grid import HashGridConfig
 from flashcache.encoding.turns import IDENTITY, LightTurns
@@ -121,13 +120,13 @@ def test_views_that_are_not_contiguous_are_read_as_they_are():
 def calls(monkeypatch) -> list[int]:
     """Return the numbers of rays that compiled code answers during the test."""
     made: list[int] = []
-    original = compiled_fast.answer
+    original = FastCache._answer_compiled
 
     def record(cache, origins, *rest):
         made.append(len(origins))
         return original(cache, origins, *rest)
 
-    monkeypatch.setattr(compiled_fast, "answer", record)
+    monkeypatch.setattr(FastCache, "_answer_compiled", record)
     return made
 
 

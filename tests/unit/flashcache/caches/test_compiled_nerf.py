@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-from flashcache.caches import compiled_nerf
 from flashcache.caches.nerf_cache import CacheAnswer, NerfCache
 from flashcache.kernels import dispatch
 from support.trained_like import CONFIG, SHAPES, secondary_rays, trained_like
@@ -116,9 +115,9 @@ def test_answers_do_not_depend_on_the_number_of_threads(monkeypatch):
 
 def test_compiled_code_samples_where_no_gradients_are_recorded_and_nothing_is_jittered(monkeypatch):
     asked = []
-    original = compiled_nerf.sample
+    original = NerfCache._sample_compiled
     monkeypatch.setattr(
-        compiled_nerf, "sample", lambda cache, rays: asked.append(len(rays)) or original(cache, rays)
+        NerfCache, "_sample_compiled", lambda cache, rays: asked.append(len(rays)) or original(cache, rays)
     )
     made, generator = trained_like(cells=False), torch.Generator().manual_seed(0)
     assert made.incident(secondary_rays(4), light(4), generator).near_radiance.requires_grad

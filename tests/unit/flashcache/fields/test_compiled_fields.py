@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from flashcache.fields import compiled_surface
+from flashcache.fields.appearance import AppearanceField
 from flashcache.kernels import dispatch
 from support.trained_like import SHAPES, trained_like
 
@@ -97,7 +97,7 @@ def test_a_light_that_is_not_there_is_refused():
 
 
 def test_gradients_are_torchs(monkeypatch):
-    monkeypatch.setattr(compiled_surface, "outgoing", None)
+    monkeypatch.setattr(AppearanceField, "_answer_compiled", None)
     made = trained_like().appearance
     inputs = positions(2), torch.rand(2, 24), directions(2, 6), directions(2, 7)
     assert made(*inputs, torch.zeros(2, dtype=torch.long)).radiance.requires_grad
