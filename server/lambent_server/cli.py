@@ -2,6 +2,8 @@
 
 import logging
 import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,33 +28,46 @@ def settings_of(**given: Any) -> "Settings":
     try:
         return Settings(**{name: value for name, value in given.items() if value is not None})
     except ValidationError as error:
-        for each in error.errors():
-            name = ".".join(map(str, each["loc"]))
-            typer.echo(f"serve.setting_invalid: {name}: {each['msg']}", err=True)
-        raise typer.Exit(2) from error
+        reasons = [f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()]
     except SettingsError as error:
-        typer.echo(f"serve.setting_invalid: {error}; it must be JSON", err=True)
-        raise typer.Exit(2) from error
+        reasons = [f"{error}; it must be JSON"]
+    for reason in reasons:
+        typer.echo(f"serve.setting_invalid: {reason}", err=True)
+    raise typer.Exit(2)
 
 
-def database_of(settings: "Settings", command: str) -> "Database":
-    """Return the database of a server, running or not; exit with code 2 and one line if it cannot be used."""
+@contextmanager
+def opened_database(command: str, **given: Any) -> Iterator[tuple["Settings", "Database"]]:
+    """Yield the settings and the database of a server, running or not.
+
+    What goes wrong meanwhile ends the command with one line: exit code 4 for what was refused, else 2.
+    """
+    from obstore.exceptions import BaseError
     from sqlalchemy.exc import SQLAlchemyError
 
+    from lambent_server.api.problems import Problem
     from lambent_server.cluster.shared_secrets import is_data_folder
+    from lambent_server.core.settings import ServeError
+    from lambent_server.database.latest_time import begin_time
     from lambent_server.database.revision import UnreleasedSchemaError
     from lambent_server.services import open_database
 
+    settings, code = settings_of(**given), 2
     try:
         if is_data_folder(settings.data):
-            return open_database(settings)
+            with closing(open_database(settings)) as database:
+                begin_time(database)
+                yield settings, database
+            return
         line = f"no_server: {settings.data} is not the data folder of a server; give --data"
     except UnreleasedSchemaError as error:
         line = f"data_unreleased: {error}"
-    except SQLAlchemyError as error:
+    except Problem as problem:
+        line, code = f"{problem.code}: {problem.detail}", 4
+    except (ValueError, ServeError, OSError, SQLAlchemyError, BaseError) as error:
         line = f"failed: {str(error).splitlines()[0]}"
     typer.echo(f"{command}.{line}", err=True)
-    raise typer.Exit(2)
+    raise typer.Exit(code)
 
 
 def serve(
@@ -74,7 +89,8 @@ def serve(
     import asyncio
 
     from lambent_server.core.logs import configure_logs
-    from lambent_server.serving import Ready, ServeError, run
+    from lambent_server.core.settings import ServeError
+    from lambent_server.serving import Ready, run
 
     settings = settings_of(
         data=data,
@@ -121,48 +137,32 @@ def keys(
     database: DatabaseOption = None,
 ) -> None:
     """Create, list, revoke and replace keys in the server's data folder, whether it is running or not."""
-    from pydantic import ValidationError
-    from sqlalchemy.exc import SQLAlchemyError
-
     from lambent_server.accounts import audit
     from lambent_server.accounts import keys as key_rows
     from lambent_server.accounts.who import operator
-    from lambent_server.api.problems import Problem
-    from lambent_server.core.secrets import SecretError
-    from lambent_server.database.latest_time import begin_time
     from lambent_server.database.schema import api_keys
     from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant, rows
 
-    settings, tenant = settings_of(data=data, database=database), Tenant(DEFAULT_TENANT_ID)
     if bool(key) == (action is KeyAction.LIST):
         raise typer.BadParameter("create takes a name, revoke and rotate take an id, list takes neither")
-    opened = database_of(settings, "keys")
-    try:
-        begin_time(opened)
-        with opened.write() as connection:
-            if action is KeyAction.LIST:
-                for each in connection.execute(
-                    rows(tenant, api_keys).order_by(api_keys.c.id.desc())
-                ).mappings():
-                    row = key_rows.show(each)
-                    ends = f"revoked {row.revoked_at}" if row.revoked_at else row.expires_at or "no end"
-                    typer.echo(
-                        "\t".join((row.id, row.name, row.created_at, row.last_used_at or "unused", ends))
-                    )
-            elif action is KeyAction.CREATE:
-                made = key_rows.create(connection, tenant, key_rows.NewKey(name=key))
-                typer.echo(made.key)
-                key = made.id
-            elif action is KeyAction.ROTATE:
-                typer.echo(key_rows.rotate(connection, tenant, key, settings.data).key)
-            else:
-                key_rows.revoke(connection, tenant, key)
-            if action is not KeyAction.LIST:
-                audit.record(connection, operator(tenant), f"keys {action}", key)
-    except (Problem, ValidationError, SecretError, OSError, SQLAlchemyError) as error:
-        code = error.code if isinstance(error, Problem) else "failed"
-        text = error.detail if isinstance(error, Problem) else str(error).splitlines()[0]
-        typer.echo(f"keys.{code}: {text}", err=True)
-        raise typer.Exit(4 if isinstance(error, Problem) else 2) from error
-    finally:
-        opened.close()
+    tenant = Tenant(DEFAULT_TENANT_ID)
+    with (
+        opened_database("keys", data=data, database=database) as (settings, opened),
+        opened.write() as connection,
+    ):
+        if action is KeyAction.LIST:
+            newest_first = rows(tenant, api_keys).order_by(api_keys.c.id.desc())
+            for each in connection.execute(newest_first).mappings():
+                row = key_rows.show(dict(each))
+                ends = f"revoked {row.revoked_at}" if row.revoked_at else row.expires_at or "no end"
+                typer.echo("\t".join((row.id, row.name, row.created_at, row.last_used_at or "unused", ends)))
+            return
+        if action is KeyAction.CREATE:
+            made = key_rows.create(connection, tenant, key_rows.NewKey(name=key))
+            typer.echo(made.key)
+            key = made.id
+        elif action is KeyAction.ROTATE:
+            typer.echo(key_rows.rotate(connection, tenant, key, settings.data).key)
+        else:
+            key_rows.revoke(connection, tenant, key)
+        audit.record(connection, operator(tenant), f"keys {action}", key)

@@ -18,8 +18,8 @@ from sqlalchemy import Connection
 
 from lambent_server.cluster.shared_secrets import shared_secret
 from lambent_server.core.clock import now, rfc3339
-from lambent_server.core.secrets import SecretError, read_or_create
-from lambent_server.core.settings import Settings
+from lambent_server.core.secrets import read_or_create
+from lambent_server.core.settings import ServeError, Settings
 from lambent_server.database.engine import Database
 from lambent_server.database.model import JobRow
 from lambent_server.database.people_schema import provenance_statements
@@ -36,7 +36,7 @@ class Signer:
     """The key with which servers sign."""
 
     def __init__(self, pem: str, where: str = FILE) -> None:
-        """Take the private key in `pem`; raises SecretError, which says `where` it is, for any other text."""
+        """Take the private key in `pem`; raises ServeError, which says `where` it is, for any other text."""
         from cryptography.hazmat.primitives import serialization
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
@@ -44,9 +44,9 @@ class Signer:
         try:
             key = serialization.load_pem_private_key(pem.encode(), None)
         except ValueError as error:
-            raise SecretError(f"serve.secret_invalid: {where} contains no private key in PEM") from error
+            raise ServeError(f"serve.secret_invalid: {where} contains no private key in PEM") from error
         if not isinstance(key, Ed25519PrivateKey):
-            raise SecretError(f"serve.secret_invalid: {where} contains no Ed25519 key")
+            raise ServeError(f"serve.secret_invalid: {where} contains no Ed25519 key")
         self._key = key
         public = key.public_key()
         self.public_pem = public.public_bytes(
@@ -91,7 +91,7 @@ def open_signer(database: Database, settings: Settings) -> Signer:
     """Return the signer of all servers on a database; the first one makes its key.
 
     The key is where other secrets are: in the database, or in a file if there is one server, or a folder of
-    secrets. Raises SecretError for a file without a key.
+    secrets. Raises ServeError for a file without a key.
     """
     if settings.provenance_key is not None:
         return Signer(read_or_create(settings.provenance_key, new_key), str(settings.provenance_key))

@@ -10,6 +10,7 @@ from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
 from lambent_server.database.latest_time import begin_time
 from lambent_server.database.revision import require_released
+from lambent_server.executors.local import count_gpus
 from lambent_server.provenance import Signer, open_signer
 from lambent_server.storage.disk_space import Space
 from lambent_server.storage.s3 import S3Options
@@ -68,26 +69,27 @@ class Services:
 
 def open_services(settings: Settings) -> Services:
     """Create the folders, migrate the database and return the parts."""
-    from .executors.local import count_gpus
-
     database = open_database(settings)
     for folder in (settings.data, settings.runs, settings.scratch):
         folder.mkdir(parents=True, exist_ok=True)
-    # Uploads that were in progress when an earlier server stopped.
+    # Uploads that were in progress when the last server ended.
     for path in settings.scratch.iterdir():
         shutil.rmtree(path) if path.is_dir() else path.unlink()
     database.migrate()
     begin_time(database)
     capacity = Capacity.of_machine(settings, count_gpus())
     signer = open_signer(database, settings)
-    return Services(settings, database, _open_store(settings, database), Wakeups(), capacity, signer)
+    store = _open_store(settings, database, s3_options(settings))
+    return Services(settings, database, store, Wakeups(), capacity, signer)
 
 
-def join_services(settings: Settings, database: Database) -> Services:
-    """Return the parts for a command that may run beside a server; nothing is created or migrated."""
-    capacity = Capacity.of_machine(settings, 0)
-    begin_time(database)
-    return Services(settings, database, _open_store(settings, database), Wakeups(), capacity)
+def join_services(settings: Settings, database: Database, *, with_store: bool = True) -> Services:
+    """Return the parts for a command that may run beside a server; nothing is created or migrated.
+
+    Without `with_store`, a store in S3 is not asked whether it works.
+    """
+    store = _open_store(settings, database, s3_options(settings) if with_store else None)
+    return Services(settings, database, store, Wakeups(), Capacity.of_machine(settings, count_gpus()))
 
 
 def open_database(settings: Settings) -> Database:
@@ -108,8 +110,8 @@ def open_database(settings: Settings) -> Database:
     return database
 
 
-def _open_store(settings: Settings, database: Database) -> BlobStore:
-    store = BlobStore(settings.data / "store", settings.store, s3_options(settings))
+def _open_store(settings: Settings, database: Database, s3: S3Options | None) -> BlobStore:
+    store = BlobStore(settings.data / "store", settings.store, s3)
     store.checks.write = database.write
     return store
 

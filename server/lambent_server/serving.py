@@ -4,14 +4,13 @@ import asyncio
 import contextlib
 import fcntl
 import gc
-import json
 import os
 import re
 import resource
 import signal
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,20 +21,19 @@ from fastapi import FastAPI
 from granian.constants import HTTPModes, Interfaces
 from granian.http import HTTP1Settings
 from granian.server.embed import Server as Granian
+from lambent_core.files import write_json
 from lambent_sandbox.sandbox import REQUIRED, Layers
 from obstore.exceptions import BaseError
 from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server.accounts.keys import FILE, accept_file
 from lambent_server.api.problems import Problem
-from lambent_server.api.serve_error import ServeError
 from lambent_server.app import LOOPBACK, make_app
 from lambent_server.cluster.shared_secrets import WORKER, shared_secret
-from lambent_server.core.secrets import SecretError
-from lambent_server.core.settings import Settings
+from lambent_server.core.settings import ServeError, Settings
 from lambent_server.database.revision import SchemaTooNewError, UnreleasedSchemaError
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
-from lambent_server.executors.chosen import ExecutorSetupError, open_executor
+from lambent_server.executors.chosen import open_executor
 from lambent_server.http.identity import issue_login_code
 from lambent_server.http.login_header import LoginHeader, login_secret
 from lambent_server.http.proxies import Proxies
@@ -163,13 +161,28 @@ def require_free(host: str, port: int) -> None:
             ) from error
 
 
-def _write_whole(path: Path, data: Any) -> None:
-    partial = path.with_suffix(".tmp")
-    partial.write_text(json.dumps(data) + "\n", encoding="utf-8")
-    partial.replace(path)
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Site:
+    """What one server serves, and where."""
+
+    services: Services
+    app: FastAPI
+    gate: App
+    """The application behind the layer that checks every request."""
+    secret: str
+    """Authenticates run processes."""
+    port: int
+    connections: int
+    """How many the system allows at the same time."""
+
+    @property
+    def url(self) -> str:
+        """Return the address of the server."""
+        host = self.services.settings.host
+        return f"http://{f'[{host}]' if ':' in host else host}:{self.port}"
 
 
-async def run(settings: Settings, on_ready: Any) -> None:
+async def run(settings: Settings, on_ready: Callable[[Ready], None]) -> None:
     """Run the server until SIGTERM or SIGINT.
 
     SIGTERM leaves run processes running: the next server adopts them. SIGINT (Ctrl-C) stops them too, after a
@@ -185,25 +198,25 @@ async def run(settings: Settings, on_ready: Any) -> None:
         require_free(settings.host, port)
         connections = allow_connections(settings)
         layers = require_sandbox(settings)
-        services, app, gate, secret = _open(settings, connections)
-        app.state.sandbox = layers
+        site = _open(settings, port, connections)
+        site.app.state.sandbox = layers
         # Not before: a server that cannot start says that first.
         tell = log.warning if layers.missing else log.info
         tell("sandbox", in_force=list(layers.in_force), missing=layers.missing)
         try:
-            await _serve(services, app, gate, secret, port, connections, on_ready)
+            await _serve(site, on_ready)
         finally:
-            services.database.close()
+            site.services.database.close()
 
 
-def _open(settings: Settings, connections: int) -> tuple[Services, FastAPI, App, str]:
-    """Return the parts, the application, the same wrapped in its gate, and the secret of run processes."""
+def _open(settings: Settings, port: int, connections: int) -> Site:
     with _explained(settings):
         services = open_services(settings)
         secret = shared_secret(services.database, settings, WORKER)
         accept_file(services.database, Tenant(DEFAULT_TENANT_ID), settings.data)
         login_secret(settings)
-        return services, *make_app(services, connections), secret
+        app, gate = make_app(services, connections)
+    return Site(services=services, app=app, gate=gate, secret=secret, port=port, connections=connections)
 
 
 @contextlib.contextmanager
@@ -213,8 +226,6 @@ def _explained(settings: Settings) -> Iterator[None]:
         yield
     except UnreleasedSchemaError as error:
         raise ServeError(f"serve.data_unreleased: {error}") from error
-    except SecretError as error:
-        raise ServeError(str(error)) from error
     except OSError as error:
         raise _data_unusable(settings.data, error) from error
     except (SQLAlchemyError, CommandError, SchemaTooNewError) as error:
@@ -261,88 +272,90 @@ def end_signal(loop: asyncio.AbstractEventLoop) -> asyncio.Future[int]:
     return ended
 
 
-async def _serve(
-    services: Services, app: FastAPI, gate: App, secret: str, port: int, connections: int, on_ready: Any
-) -> None:
-    settings = services.settings
-    loop = asyncio.get_running_loop()
-    ended = end_signal(loop)
-    tenant = Tenant(DEFAULT_TENANT_ID)
-    host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    url = f"http://{host}:{port}"
-    workers, membership, server_address = open_workers(services, secret)
+async def _serve(site: Site, on_ready: Callable[[Ready], None]) -> None:
+    services, settings, state = site.services, site.services.settings, site.app.state
+    ended = end_signal(asyncio.get_running_loop())
+    workers, membership, server_address = open_workers(services, site.secret)
     try:
-        executor = await asyncio.to_thread(open_executor, settings, secret)
-    except ExecutorSetupError as error:
+        executor = await asyncio.to_thread(open_executor, settings, site.secret)
+    except ServeError:
         workers.stop(None)
-        raise ServeError(str(error)) from error
+        raise
     services.capacity.max_gpus, services.capacity.num_places = executor.max_gpus, executor.num_places
-    controller = Controller(services, executor, membership, secret=secret, server_address=server_address)
-    membership.start(url)
-    controller.start()
-    app.state.controller = controller
-    app.state.reconciler = reconciler = Reconciler(services, lambda: membership.leads)
-    reconciler.start()
-    compressor = Compressor(services, lambda: membership.leads)
-    compressor.start()
-    scrubber = Scrubber(services, lambda: membership.leads)
-    scrubber.start()
-    copier = LogCopier(services, membership)
-    copier.start()
-    if settings.trusted_proxies:
-        gate = LoginHeader(Proxies(gate, settings.trusted_proxies), settings)
-    outermost = Connections(gate, port, app.state.budget, settings.trusted_proxies)
-    sender = Sender(services, lambda: membership.leads)
-    sender.start()
-    server = Granian(
-        outermost,
-        address=settings.host,
-        port=port,
-        interface=Interfaces.ASGINL,
-        http=HTTPModes.http1,
-        websockets=False,
-        log_enabled=False,
-        backlog=BACKLOG,
-        backpressure=connections,
-        http1_settings=HTTP1Settings(header_read_timeout=int(settings.header_timeout_s * 1000)),
-    )
-    serving = loop.create_task(server.serve())
-    watching = [loop.create_task(outermost.watch())]
-    if not services.database.is_sqlite:
-        from .database.listening import Listener
-
-        listener = Listener(settings.listening_url, services.database, services.wakeups.signal)
-        watching.append(loop.create_task(listener.run()))
-    await _until_listening(settings.host, port, serving)
+    controller = Controller(services, executor, membership, secret=site.secret, server_address=server_address)
+    membership.start(site.url)
+    reconciler = Reconciler(services, lambda: membership.leads)
+    compressor, scrubber = (kind(services, lambda: membership.leads) for kind in (Compressor, Scrubber))
+    copier, sender = LogCopier(services, membership), Sender(services, lambda: membership.leads)
+    for thread in (controller, reconciler, compressor, scrubber, copier, sender):
+        thread.start()
+    state.controller, state.reconciler = controller, reconciler
+    server, watching = _listen(site)
+    serving = asyncio.create_task(server.serve())
+    await _until_listening(settings.host, site.port, serving)
     _ease_collection()
-    _write_whole(settings.data / "server.json", {"url": url, "pid": os.getpid()})
-    with services.database.write() as connection:
-        code, _ = issue_login_code(connection, tenant, settings.login_code_s)
-    key_file = settings.data / FILE
-    on_ready(Ready(url, f"{url}/#code={code}", key_file if key_file.exists() else None))
-    log.info("serving", url=url, data=str(settings.data))
+    on_ready(_announce(site))
 
     await asyncio.wait({ended, serving}, return_when=asyncio.FIRST_COMPLETED)
     interrupted = ended.done() and ended.result() == signal.SIGINT
     log.info("ending", stop_runs=interrupted)
-    (settings.data / "server.json").unlink(missing_ok=True)
+    _address_file(settings).unlink(missing_ok=True)
     services.wakeups.close()
     for task in watching:
         task.cancel()
     await asyncio.to_thread(sender.close)
     # Run processes that are asked to stop still commit their checkpoint, so their service stops after them.
     await asyncio.to_thread(controller.close, stop_runs=interrupted)
-    await asyncio.to_thread(compressor.close)
-    await asyncio.to_thread(scrubber.close)
-    await asyncio.to_thread(copier.close)
-    await asyncio.to_thread(reconciler.close)
-    await asyncio.to_thread(membership.close)
+    for close in (compressor.close, scrubber.close, copier.close, reconciler.close, membership.close):
+        await asyncio.to_thread(close)
     server.stop()
     with contextlib.suppress(TimeoutError):
         await asyncio.wait_for(serving, settings.shutdown_grace_s / 4)
     await asyncio.to_thread(workers.stop(1).wait)
     await asyncio.to_thread(executor.close)
     log.info("ended")
+
+
+def _listen(site: Site) -> tuple[Granian, list[asyncio.Task[None]]]:
+    """Return the HTTP server, and the tasks that watch its connections and the database's announcements."""
+    services, settings, gate = site.services, site.services.settings, site.gate
+    if settings.trusted_proxies:
+        gate = LoginHeader(Proxies(gate, settings.trusted_proxies), settings)
+    outermost = Connections(gate, site.port, site.app.state.budget, settings.trusted_proxies)
+    server = Granian(
+        outermost,
+        address=settings.host,
+        port=site.port,
+        interface=Interfaces.ASGINL,
+        http=HTTPModes.http1,
+        websockets=False,
+        log_enabled=False,
+        backlog=BACKLOG,
+        backpressure=site.connections,
+        http1_settings=HTTP1Settings(header_read_timeout=int(settings.header_timeout_s * 1000)),
+    )
+    watching = [asyncio.create_task(outermost.watch())]
+    if not services.database.is_sqlite:
+        from .database.listening import Listener
+
+        listener = Listener(settings.listening_url, services.database, services.wakeups.signal)
+        watching.append(asyncio.create_task(listener.run()))
+    return server, watching
+
+
+def _address_file(settings: Settings) -> Path:
+    return settings.data / "server.json"
+
+
+def _announce(site: Site) -> Ready:
+    """Write where the server is for other programs of this machine, and return the addresses to print."""
+    settings, database = site.services.settings, site.services.database
+    write_json(_address_file(settings), {"url": site.url, "pid": os.getpid()})
+    with database.write() as connection:
+        code, _ = issue_login_code(connection, Tenant(DEFAULT_TENANT_ID), settings.login_code_s)
+    key_file = settings.data / FILE
+    log.info("serving", url=site.url, data=str(settings.data))
+    return Ready(site.url, f"{site.url}/#code={code}", key_file if key_file.exists() else None)
 
 
 async def _until_listening(host: str, port: int, serving: asyncio.Task[None]) -> None:

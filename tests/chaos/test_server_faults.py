@@ -15,7 +15,8 @@ from pathlib import Path
 import httpx2
 import psutil
 import pytest
-from lambent_server.serving import ServeError, sole_user
+from lambent_server.core.settings import ServeError
+from lambent_server.serving import sole_user
 from support.live_server import LiveServer, stream, wait_until
 
 pytestmark = pytest.mark.slow

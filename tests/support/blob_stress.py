@@ -21,7 +21,7 @@ from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.maintenance.housekeeping import sweep
 from lambent_server.running.reconciler import remove_orphan
 from lambent_server.services import Services, open_services
-from lambent_server.storage.garbage import discard
+from lambent_server.storage.store import discard
 
 CONTENTS = [f"blob {number}".encode() * 50 for number in range(3)]
 ENOUGH = 6

@@ -77,7 +77,7 @@ class LoopbackHandler(BaseHTTPRequestHandler):
 @contextlib.contextmanager
 def serving(handler: Callable[..., LoopbackHandler]) -> Iterator[str]:
     """Yield the origin, such as `http://127.0.0.1:4711`, at which requests are answered by `handler`."""
-    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)  # type: ignore[arg-type]
+    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
     server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, args=(0.1,), daemon=True)
     thread.start()

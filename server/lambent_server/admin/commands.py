@@ -19,6 +19,7 @@ from lambent_server.cli import DatabaseOption, DataOption, keys
 from lambent_server.cluster.membership import members
 from lambent_server.cluster.server_state import DRAIN, MAINTENANCE, announce, read, withdraw
 from lambent_server.core.clock import rfc3339
+from lambent_server.core.settings import ServeError
 from lambent_server.database.schema import jobs as job_table
 from lambent_server.database.service_schema import webhook_deliveries
 from lambent_server.database.tenancy import across_tenants
@@ -57,7 +58,8 @@ def _state(services: Services) -> dict[str, Any]:
     with services.database.read() as connection:
         notices = read(connection)
         by_state = across_tenants(job_table, job_table.c.state, func.count()).where(active)
-        counts = dict(iter(connection.execute(by_state.group_by(job_table.c.state))))
+        grouped = connection.execute(by_state.group_by(job_table.c.state))
+        counts = {row[0]: row[1] for row in grouped}
         running = across_tenants(job_table, func.count()).where(has_process)
         processes = connection.execute(running).scalar_one()
         unsent = connection.execute(across_tenants(webhook_deliveries, func.count()).where(waiting))
@@ -160,17 +162,17 @@ def reconcile(data: DataOption = None, database: DatabaseOption = None, store: S
     A running server does the same at its start and every hour. Exit code 1 when bytes are missing.
     """
     # Slow to import: the whole server.
-    from lambent_server import serving
     from lambent_server.running import reconciler
+    from lambent_server.serving import sole_user
 
     with opened(data, database, store, with_store=True) as services:
         try:
-            with serving.sole_user(services.settings.data):
+            with sole_user(services.settings.data):
                 num_missing = reconciler.reconcile(services)
             with services.database.write() as connection:
                 missing = {"missing": num_missing}
                 audit.record(connection, operator(audit.SERVER), "reconcile", details=missing)
-        except serving.ServeError as error:
+        except ServeError as error:
             typer.echo(str(error), err=True)
             raise typer.Exit(2) from error
     typer.echo(f"{num_missing} blobs are missing")

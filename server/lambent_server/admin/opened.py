@@ -8,17 +8,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from pydantic import ValidationError
-from sqlalchemy.exc import SQLAlchemyError
 
-from lambent_server.api.problems import Problem
-from lambent_server.cli import database_of, settings_of
-from lambent_server.cluster.wakeups import Wakeups
-from lambent_server.core.secrets import SecretError
-from lambent_server.database.latest_time import begin_time
-from lambent_server.executors.local import count_gpus
-from lambent_server.services import Capacity, Services, s3_options
-from lambent_server.storage.store import BlobStore
+from lambent_server.cli import opened_database
+from lambent_server.services import Services, join_services
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, one object per line, for machines.")]
 TenantOption = Annotated[str, typer.Option(help="Only of this tenant.")]
@@ -34,24 +26,11 @@ def opened(
 ) -> Iterator[Services]:
     """Yield the parts of the server with this data folder; its problems end the command with one line.
 
-    Only with `with_store` a store in S3 is looked at: other commands work while it is away.
+    A store in S3 is opened only `with_store`: other commands work while it is unavailable.
     """
-    settings = settings_of(data=data, database=database, store=store)
-    rows = database_of(settings, "admin")
-    try:
-        begin_time(rows)
-        blobs = BlobStore(
-            settings.data / "store", settings.store, s3_options(settings) if with_store else None
-        )
-        yield Services(settings, rows, blobs, Wakeups(), Capacity.of_machine(settings, count_gpus()))
-    except Problem as problem:
-        typer.echo(f"admin.{problem.code}: {problem.detail}", err=True)
-        raise typer.Exit(4) from problem
-    except (ValidationError, SecretError, OSError, SQLAlchemyError) as error:
-        typer.echo(f"admin.failed: {str(error).splitlines()[0]}", err=True)
-        raise typer.Exit(2) from error
-    finally:
-        rows.close()
+    given = {"data": data, "database": database, "store": store}
+    with opened_database("admin", **given) as (settings, rows):
+        yield join_services(settings, rows, with_store=with_store)
 
 
 def age(text: str) -> float:

@@ -4,6 +4,7 @@ import json
 from typing import Annotated, Any
 
 import typer
+from pydantic import JsonValue
 
 from lambent_server.accounts import audit, organisations
 from lambent_server.accounts.who import operator
@@ -46,12 +47,12 @@ def set_rules(
         rules = {**(row["retention"] or {}), **ages}
         kept: dict[str, Any] = {kind: seconds for kind, seconds in rules.items() if seconds is not None}
         enforced = bool(row["retention_enforced"]) if enforce is None else enforce
+        shown: dict[str, JsonValue] = {"seconds": kept, "enforced": enforced}
         if ages or enforce is not None:
             organisations.update(connection, tenant, retention=kept or None, retention_enforced=int(enforced))
-            details = {"seconds": kept, "enforced": enforced}
-            audit.record(connection, operator(tenant), "retention set", org, details=details)
+            audit.record(connection, operator(tenant), "retention set", org, details=shown)
     if as_json:
-        typer.echo(json.dumps({"seconds": kept, "enforced": enforced}))
+        typer.echo(json.dumps(shown))
         return
     for kind in given:
         typer.echo(f"{kind:<9}{f'{kept[kind] / 86400:g} days' if kind in kept else NEVER}")

@@ -38,7 +38,11 @@ def list_webhooks(
         statement = statement.where(webhooks.c.tenant_id == tenant)
     with opened(data, database) as services, services.database.read() as connection:
         rows = [
-            {"tenant": row["tenant_id"], **webhook_rows.show(row).model_dump(), "url": host_of(row["url"])}
+            {
+                "tenant": row["tenant_id"],
+                **webhook_rows.show(dict(row)).model_dump(),
+                "url": host_of(row["url"]),
+            }
             for row in connection.execute(statement).mappings()
         ]
     print_rows(rows, ("id", "tenant", "enabled", "disabled_reason", "url", "created_at"), as_json)

@@ -1,6 +1,6 @@
 """Bodies of the REST interface about the server itself."""
 
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -65,4 +65,4 @@ class Health(Shown):
     """Whether the server is alive, and the state of its parts."""
 
     status: Literal["ok", "unavailable"]
-    checks: Annotated[dict[str, str], Field(default_factory=dict)]
+    checks: dict[str, str] = Field(default_factory=dict)

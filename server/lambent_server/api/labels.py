@@ -60,9 +60,8 @@ def having(
     tenant: Tenant, identifier: Column[str], pairs: Sequence[str], table: Table = resource_labels
 ) -> list[ColumnElement[bool]]:
     """Return the conditions that something has every label of `pairs` ("name=value")."""
-    conditions = []
-    for pair in pairs:
-        name, _, value = pair.partition("=")
-        labelled = rows(tenant, table, _owner(table)).where(table.c.name == name, table.c.value == value)
-        conditions.append(identifier.in_(labelled))
-    return conditions
+    given = [pair.partition("=")[::2] for pair in pairs]
+    labelled = rows(tenant, table, _owner(table))
+    return [
+        identifier.in_(labelled.where(table.c.name == name, table.c.value == value)) for name, value in given
+    ]

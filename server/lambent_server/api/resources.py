@@ -40,7 +40,7 @@ class ResourceRoute(StrictRoute):
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return the handler of a request."""
         handle = super().get_route_handler()
-        if not self.path.startswith("/v1/") or not self.methods & {"GET", "PATCH"}:
+        if not self.path.startswith("/v1/") or not {"GET", "PATCH"} & set(self.methods or ()):
             return handle
 
         async def tagged(request: Request) -> Response:

@@ -14,8 +14,7 @@ from typing import Any
 import structlog
 
 from lambent_server.cluster.shared_secrets import shared_secret
-from lambent_server.core.secrets import SecretError
-from lambent_server.core.settings import Settings
+from lambent_server.core.settings import ServeError, Settings
 from lambent_server.database.engine import Database
 
 log = structlog.get_logger()
@@ -54,7 +53,7 @@ class ServerAddress:
 def certificate_for(database: Database, settings: Settings) -> Certificate:
     """Return the certificate of the settings, or a new one of the servers' own authority.
 
-    Raises SecretError if one of the settings' files is missing or is not what it should be.
+    Raises ServeError if one of the settings' files is missing or is not what it should be.
     """
     if settings.worker_certificate is None:
         return issue(shared_secret(database, settings, NAME, make_authority))
@@ -62,13 +61,13 @@ def certificate_for(database: Database, settings: Settings) -> Certificate:
 
 
 def _given(settings: Settings) -> Certificate:
-    """Return the certificate in the files of the settings; raises SecretError for files that are none."""
+    """Return the certificate in the files of the settings; raises ServeError for files that are none."""
     from cryptography import x509
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
     certificate, key, authority = settings.worker_certificate, settings.worker_key, settings.worker_authority
     if certificate is None or key is None:
-        raise SecretError("serve.worker_key_missing: LAMBENT_WORKER_CERTIFICATE needs LAMBENT_WORKER_KEY too")
+        raise ServeError("serve.worker_key_missing: LAMBENT_WORKER_CERTIFICATE needs LAMBENT_WORKER_KEY too")
     found = Certificate(
         chain=_checked(certificate, x509.load_pem_x509_certificates),
         key=_checked(key, lambda data: load_pem_private_key(data, None)),
@@ -77,7 +76,7 @@ def _given(settings: Settings) -> Certificate:
     )
     own = x509.load_pem_x509_certificates(found.chain)[0].public_key()
     if own != load_pem_private_key(found.key, None).public_key():
-        raise SecretError(
+        raise ServeError(
             f"serve.worker_certificate_invalid: {key} is not the key of the first certificate in "
             f"{certificate}; give both files of the same certificate"
         )
@@ -103,7 +102,7 @@ class Renewals:
         self._seen = versions
         try:
             found = _given(self._settings)
-        except SecretError as error:
+        except ServeError as error:
             log.warning("worker_certificate_not_renewed", reason=str(error))
             return None
         log.info("worker_certificate_renewed", path=str(self._settings.worker_certificate))
@@ -128,7 +127,7 @@ def _checked(path: Path, load: Callable[[bytes], object]) -> bytes:
         data = path.read_bytes()
         load(data)
     except (OSError, ValueError, TypeError) as error:
-        raise SecretError(
+        raise ServeError(
             f"serve.worker_certificate_invalid: {path} cannot be used ({error}); give a PEM file without "
             "a passphrase that this user can read"
         ) from error

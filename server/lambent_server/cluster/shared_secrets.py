@@ -27,7 +27,7 @@ _LOCK = 0x1A4BE48
 def shared_secret(
     database: Database, settings: Settings, name: str, make: Callable[[], str] = new_secret
 ) -> str:
-    """Return a secret; the first server makes it. Raises SecretError for an empty file."""
+    """Return a secret; the first server makes it. Raises ServeError for an empty file."""
     if database.is_sqlite or settings.secrets is not None:
         return read_or_create((settings.secrets or settings.data) / name, make)
     with database.write() as connection:

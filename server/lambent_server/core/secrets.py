@@ -8,9 +8,7 @@ import secrets
 from collections.abc import Callable
 from pathlib import Path
 
-
-class SecretError(Exception):
-    """A secret's file cannot be used; the message says what to do."""
+from lambent_server.core.settings import ServeError
 
 
 def sha256_text(text: str) -> str:
@@ -26,7 +24,7 @@ def new_secret(prefix: str = "") -> str:
 def read_or_create_secret(path: Path, prefix: str = "") -> str:
     """Return the secret in `path`; creates one that only its owner can read if there is none.
 
-    Raises SecretError for a file without a secret: an empty secret would open the server to everyone.
+    Raises ServeError for a file without a secret: an empty secret would open the server to everyone.
     """
     return read_or_create(path, lambda: new_secret(prefix))
 
@@ -34,14 +32,14 @@ def read_or_create_secret(path: Path, prefix: str = "") -> str:
 def read_or_create(path: Path, make: Callable[[], str]) -> str:
     """Return the text in `path`, which only its owner can read; writes what `make` returns if there is none.
 
-    Raises SecretError for a file without text.
+    Raises ServeError for a file without text.
     """
     if not path.exists():
         write_secret(path, make())
     with contextlib.suppress(UnicodeDecodeError):
         if secret := path.read_text(encoding="ascii").strip():
             return secret
-    raise SecretError(
+    raise ServeError(
         f"serve.secret_invalid: {path} contains no secret; remove it and start again, which creates a new one"
     )
 

@@ -74,6 +74,10 @@ def _host_and_port(text: str | None) -> str | None:
     return text
 
 
+class ServeError(Exception):
+    """The server cannot start with what it was given; the message says why and what to do."""
+
+
 class Settings(BaseSettings):
     """The complete configuration of one server, including every timeout, so that tests can shorten them.
 

@@ -6,14 +6,10 @@ from dataclasses import dataclass
 
 from lambent_core.errors import pip_install
 
-from lambent_server.core.settings import Settings
+from lambent_server.core.settings import ServeError, Settings
 from lambent_server.executors import Executor
 from lambent_server.executors.groups import groups_or_none
 from lambent_server.executors.local import LocalExecutor
-
-
-class ExecutorSetupError(Exception):
-    """The executor cannot be used; the message says why and what to do."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -21,13 +17,13 @@ class Kind:
     """A kind of executor."""
 
     open: Callable[[Settings, str], Executor]
-    """Return it ready to start runs; raises ExecutorSetupError."""
+    """Return it ready to start runs; raises ServeError."""
     on_this_machine: bool
     """Whether its places are those of this machine; otherwise servers share them, and none owns them."""
 
 
 def open_executor(settings: Settings, secret: str) -> Executor:
-    """Return the executor, ready to start runs; raises ExecutorSetupError."""
+    """Return the executor, ready to start runs; raises ServeError."""
     return KINDS[settings.executor].open(settings, secret)
 
 
@@ -43,23 +39,23 @@ def _open_local(settings: Settings, secret: str) -> Executor:
 def _open_ray(settings: Settings, secret: str) -> Executor:
     """Return the executor of a Ray cluster, which may answer later: runs start when it does."""
     if importlib.util.find_spec("ray") is None:
-        raise ExecutorSetupError(f"serve.ray_missing: Ray is not installed; {pip_install('server', 'ray')}")
+        raise ServeError(f"serve.ray_missing: Ray is not installed; {pip_install('server', 'ray')}")
     if settings.ray_address is None:
-        raise ExecutorSetupError(
+        raise ServeError(
             "serve.ray_address_missing: set LAMBENT_RAY_ADDRESS to the cluster, such as 10.0.0.5:6379"
         )
     if settings.worker_address is None:
-        raise ExecutorSetupError(
+        raise ServeError(
             "serve.ray_needs_worker_address: runs on other machines reach this server at "
             "LAMBENT_WORKER_ADDRESS, which is not set"
         )
     if settings.ray_token_file is not None and not settings.ray_token_file.is_file():
-        raise ExecutorSetupError(f"serve.ray_token_missing: there is no file {settings.ray_token_file}")
+        raise ServeError(f"serve.ray_token_missing: there is no file {settings.ray_token_file}")
     from lambent_server.executors.ray import RayExecutor
     from lambent_server.executors.ray_cluster import probe
 
     if not settings.ray_without_token and probe(settings.ray_address) == "open":
-        raise ExecutorSetupError(
+        raise ServeError(
             f"serve.ray_without_token: {settings.ray_address} runs the programs of everybody who can reach "
             "it; start the cluster with RAY_AUTH_MODE=token, or, if its network protects it, set "
             "LAMBENT_RAY_WITHOUT_TOKEN=true"

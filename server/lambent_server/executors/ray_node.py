@@ -113,7 +113,7 @@ class RunHolder:
         """Return the part of this machine that the run has: that of its processors or, if larger, GPUs."""
         processors = self._launch["needs"]["cpus"] / (os.cpu_count() or 1)
         devices = len(self._gpus) / max(len(glob.glob("/dev/nvidia[0-9]*")), 1)
-        return min(max(processors, devices, 0.01), 1.0)
+        return float(min(max(processors, devices, 0.01), 1.0))
 
     def _mismatch(self, python: str, environment: dict[str, str]) -> str:
         """Return why the installed Lambent is not the one of the server; empty if it is."""

@@ -18,7 +18,8 @@ from lambent_server.api.problems import Problem
 from lambent_server.http.common import problems
 from lambent_server.http.heads import HEAD
 from lambent_server.services import Services
-from lambent_server.storage.store import BLOBS, GZIP, Blob, damaged
+from lambent_server.storage.content_checks import BLOBS, GZIP
+from lambent_server.storage.store import Blob, damaged
 
 log = structlog.get_logger()
 

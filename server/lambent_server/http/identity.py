@@ -69,7 +69,7 @@ def issue_login_code(
 def redeem_login_code(connection: Connection, code: str) -> Redeemed | None:
     """Return what a code stands for, and invalidate it; None if it is unknown, used or too old."""
     mine = delete(login_codes).where(login_codes.c.code_sha256 == sha256_text(code))
-    row = connection.execute(mine.returning(login_codes)).mappings().one_or_none()
+    row: Any = connection.execute(mine.returning(login_codes)).mappings().one_or_none()
     if row is None or row["expires_at"] <= now():
         return None
     until = None

@@ -7,8 +7,7 @@ from typing import Any
 
 import structlog
 
-from lambent_server.core.secrets import SecretError
-from lambent_server.core.settings import Settings
+from lambent_server.core.settings import ServeError, Settings
 
 log = structlog.get_logger()
 
@@ -34,7 +33,7 @@ def _is_local(network: str) -> bool:
 def login_secret(settings: Settings) -> bytes | None:
     """Return the secret by which the proxy that names people is known; None if its address is enough.
 
-    Raises SecretError for a file that cannot be read, or holds no secret, and without one where an address of
+    Raises ServeError for a file that cannot be read, or holds no secret, and without one where an address of
     the loopback is trusted.
     """
     path = settings.login_secret_file
@@ -42,7 +41,7 @@ def login_secret(settings: Settings) -> bytes | None:
         local = [each for each in settings.trusted_proxies if _is_local(each)]
         if settings.login_header is None or not local:
             return None
-        raise SecretError(
+        raise ServeError(
             f"serve.login_secret_missing: LAMBENT_LOGIN_HEADER counts from {local[0]}, and every process "
             "of this machine can have that address; write a secret (`openssl rand -hex 32`) into a file that "
             "only the server and the proxy can read, name it in LAMBENT_LOGIN_SECRET_FILE, and let the proxy "
@@ -51,11 +50,11 @@ def login_secret(settings: Settings) -> bytes | None:
     try:
         secret = path.read_text(encoding="ascii").strip()
     except OSError as error:
-        raise SecretError(f"serve.login_secret_invalid: {path} cannot be read: {error.strerror}") from error
+        raise ServeError(f"serve.login_secret_invalid: {path} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError:
         secret = ""
     if len(secret) < MIN_SECRET or not secret.isprintable():
-        raise SecretError(
+        raise ServeError(
             f"serve.login_secret_invalid: {path} must hold a line of at least {MIN_SECRET} ASCII characters, "
             "such as `openssl rand -hex 32` prints"
         )

@@ -75,14 +75,13 @@ class Gate:
                 # Returning without the end of the response closes the connection.
                 log.info("client_stalled", request=request.id, path=scope["path"][:200])
                 return
-            problem = away(error)
-            if problem is None:
-                problem = INTERNAL
+            outage = away(error)
+            if outage is None:
                 log.exception("request_failed", request=request.id, path=scope["path"])
             else:
-                about = {"reason": problem.code, "error": type(error).__name__}
+                about = {"reason": outage.code, "error": type(error).__name__}
                 log.warning("request_put_off", request=request.id, path=scope["path"], **about)
-            await request.refuse(problem)
+            await request.refuse(outage or INTERNAL)
         finally:
             request.observe()
             await self._record_refusal(scope)

@@ -4,7 +4,7 @@ from sqlalchemy import ColumnElement, Connection
 
 from lambent_server.database.schema import checkpoint_files, checkpoints
 from lambent_server.database.tenancy import Tenant, remove, rows
-from lambent_server.storage.garbage import discard
+from lambent_server.storage.store import discard
 
 
 def drop_checkpoint(connection: Connection, tenant: Tenant, identifier: str) -> None:

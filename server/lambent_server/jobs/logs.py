@@ -24,8 +24,7 @@ from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import Tenant, across_tenants, add_if_absent, remove, rows
 from lambent_server.jobs.rows import is_observed
 from lambent_server.services import Services
-from lambent_server.storage.garbage import discard
-from lambent_server.storage.store import hash_file
+from lambent_server.storage.store import discard, hash_file
 
 log = structlog.get_logger()
 

@@ -6,7 +6,7 @@ from lambent_server.database.model import JobRow
 from lambent_server.database.schema import events
 from lambent_server.database.tenancy import change, rows
 from lambent_server.jobs.rows import owner
-from lambent_server.storage.garbage import discard
+from lambent_server.storage.store import discard
 
 TURNING = "turning_"
 """Begins the names of pictures between which the camera has moved on by a step

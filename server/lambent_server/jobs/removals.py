@@ -26,7 +26,7 @@ from lambent_server.jobs.checkpoints import drop_checkpoints
 from lambent_server.jobs.logs import forget as forget_logs
 from lambent_server.jobs.queries import require_job
 from lambent_server.jobs.rows import FINAL, is_unfinished
-from lambent_server.storage.garbage import discard
+from lambent_server.storage.store import discard
 from lambent_server.webhooks.rows import forget_job
 
 

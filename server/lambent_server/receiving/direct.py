@@ -18,8 +18,9 @@ from lambent_server.api.problems import Problem
 from lambent_server.core.clock import now
 from lambent_server.core.settings import Settings
 from lambent_server.database.tenancy import Tenant
+from lambent_server.storage.content_checks import Write
 from lambent_server.storage.s3 import MAX_COPY_BYTES, S3Bucket, Version
-from lambent_server.storage.store import Admission, Blob, BlobStore, Write, find_blob
+from lambent_server.storage.store import Admission, Blob, BlobStore, find_blob
 
 FOLDER = "uploads"
 MAX_PARTS = 10_000

@@ -27,9 +27,9 @@ from lambent_server.maintenance import retention
 from lambent_server.maintenance.housekeeping import REFERENCES
 from lambent_server.receiving.direct import FOLDER
 from lambent_server.services import Services
-from lambent_server.storage.garbage import discard
+from lambent_server.storage.content_checks import GZIP
 from lambent_server.storage.outages import report
-from lambent_server.storage.store import GZIP, LOST, file_time
+from lambent_server.storage.store import LOST, discard, file_time
 
 log = structlog.get_logger()
 

@@ -11,8 +11,7 @@ from lambent_server.api.problems import Problem
 from lambent_server.api.rest_json import to_rest
 from lambent_server.database.schema import scene_figures
 from lambent_server.database.tenancy import Tenant, add, remove, rows
-from lambent_server.storage.garbage import discard
-from lambent_server.storage.store import touch
+from lambent_server.storage.store import discard, touch
 
 Row = Mapping[str, Any]
 

@@ -19,9 +19,8 @@ from lambent_server.database.tenancy import Tenant, add, change, find, remove, r
 from lambent_server.jobs.checkpoints import drop_checkpoints_of_scene
 from lambent_server.jobs.rows import is_unfinished
 from lambent_server.scenes.figures import forget_figures
-from lambent_server.storage.garbage import discard
 from lambent_server.storage.paths import Names, check_path, clash_with, is_scene_file
-from lambent_server.storage.store import blob_url, touch
+from lambent_server.storage.store import blob_url, discard, touch
 
 Row = Mapping[str, Any]
 

@@ -116,7 +116,7 @@ class _Bounded(io.RawIOBase):
 
 
 def _zip_entries(file: IO[bytes], budget: int, max_files: int) -> Iterator[Entry]:
-    with zipfile.ZipFile(_Bounded(file, 2 * budget + MAX_SINGLE_READ)) as archive:  # type: ignore[arg-type]
+    with zipfile.ZipFile(_Bounded(file, 2 * budget + MAX_SINGLE_READ)) as archive:
         infos = archive.infolist()
         _refuse_others(archive, infos, file)
         if len(infos) > max_files:
@@ -171,7 +171,7 @@ def _refuse_overlaps(infos: list[zipfile.ZipInfo]) -> None:
 def _tar_entries(file: Any, budget: int) -> Iterator[Entry]:
     # Headers and padding come in addition to the contents.
     bounded = _Bounded(file, 2 * budget + MAX_SINGLE_READ)
-    with tarfile.open(fileobj=bounded, mode="r:") as archive:  # type: ignore[arg-type]
+    with tarfile.open(fileobj=bounded, mode="r:") as archive:
         while (info := archive.next()) is not None:
             # tarfile keeps every header that it has read.
             archive.members.clear()  # type: ignore[attr-defined]

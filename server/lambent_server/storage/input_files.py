@@ -12,7 +12,7 @@ from lambent_server.database.tenancy import Tenant, find, rows
 Files = list[worker_pb2.SceneFile]
 
 
-def input_file(path: str, row: Mapping[str, Any]) -> worker_pb2.SceneFile:
+def input_file(path: str, row: Mapping[Any, Any]) -> worker_pb2.SceneFile:
     """Return the file of a row as `path`."""
     return worker_pb2.SceneFile(path=path, sha256=row["sha256"], size_bytes=row["size_bytes"])
 

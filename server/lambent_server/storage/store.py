@@ -395,3 +395,8 @@ def find_blob(connection: Connection, tenant: Tenant, sha256: str) -> Blob | Non
         .one_or_none()
     )
     return Blob(sha256, int(row["size_bytes"]), row["media_type"]) if row else None
+
+
+def discard(connection: Connection, tenant: Tenant, sha256: str) -> None:
+    """Record that a reference to a blob is gone; housekeeping removes the blob later if it was the last."""
+    add_if_absent(connection, tenant, schema.garbage, sha256=sha256, at=now())

@@ -8,11 +8,10 @@ from pathlib import Path
 import grpc
 import structlog
 
-from lambent_server.api.serve_error import ServeError
 from lambent_server.cluster.certificates import Renewals, ServerAddress, certificate_for
 from lambent_server.cluster.membership import Membership
-from lambent_server.core.secrets import SecretError, sha256_text
-from lambent_server.core.settings import Settings
+from lambent_server.core.secrets import sha256_text
+from lambent_server.core.settings import ServeError, Settings
 from lambent_server.executors.local import host_identity
 from lambent_server.services import Services
 from lambent_server.workers.service import Listening, serve_workers
@@ -84,8 +83,6 @@ def open_workers(services: Services, secret: str) -> tuple[grpc.Server, Membersh
                 )
                 network = Listening(address=settings.worker_address, certificate=certificate, renewed=renewed)
         workers = serve_workers(services, secret, address, network=network, servers=membership.endpoints)
-    except SecretError as error:
-        raise ServeError(str(error)) from error
     except OSError as error:
         raise ServeError(
             f"serve.worker_address_unusable: {settings.worker_address or address} ({error}); choose another "

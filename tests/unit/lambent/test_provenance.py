@@ -15,8 +15,7 @@ import pytest
 from lambent import provenance
 from lambent.cli.app import run
 from lambent.errors import LambentError, UsageProblemError
-from lambent_server.core.secrets import SecretError
-from lambent_server.core.settings import Settings
+from lambent_server.core.settings import ServeError, Settings
 from lambent_server.database.engine import Database
 from lambent_server.database.model import JobRow
 from lambent_server.provenance import Signer, new_key, open_signer, pre_authentication, statement_of
@@ -312,7 +311,7 @@ def test_the_key_of_a_server_stays_and_only_its_owner_reads_it(tmp_path: Path):
         other = open_signer(database, Settings(data=tmp_path, provenance_key=tmp_path / "other.key"))
         assert other.key_id != first.key_id
         path.write_text("not a key")
-        with pytest.raises(SecretError, match=r"provenance\.key contains no private key"):
+        with pytest.raises(ServeError, match=r"provenance\.key contains no private key"):
             open_signer(database, settings)
 
 

@@ -9,11 +9,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from lambent_server.core.settings import Settings
+from lambent_server.core.settings import ServeError, Settings
 from lambent_server.serving import (
     MIN_CONNECTIONS,
     OTHER_FILES,
-    ServeError,
     allow_connections,
     end_signal,
 )

@@ -5,18 +5,18 @@ from pathlib import Path
 
 import pytest
 from lambent_server.core.secrets import (
-    SecretError,
     is_run_token,
     read_or_create_secret,
     run_token,
     write_secret,
 )
+from lambent_server.core.settings import ServeError
 
 
 @pytest.mark.parametrize("content", [b"", b" \n", b"\xff\xfe"])
 def test_a_file_without_a_secret_is_refused_with_what_to_do(tmp_path: Path, content: bytes):
     (tmp_path / "api.key").write_bytes(content)
-    with pytest.raises(SecretError, match=r"^serve\.secret_invalid: .*api\.key .*remove it and start again"):
+    with pytest.raises(ServeError, match=r"^serve\.secret_invalid: .*api\.key .*remove it and start again"):
         read_or_create_secret(tmp_path / "api.key")
 
 

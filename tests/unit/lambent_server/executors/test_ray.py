@@ -10,9 +10,9 @@ from typing import Any
 
 import grpc
 import pytest
-from lambent_server.core.settings import Settings
+from lambent_server.core.settings import ServeError, Settings
 from lambent_server.executors import ExecutorAwayError, Gone, Handle, Launch
-from lambent_server.executors.chosen import ExecutorSetupError, open_executor
+from lambent_server.executors.chosen import open_executor
 from lambent_server.executors.installed import installed
 from lambent_server.executors.ray import RayExecutor
 from lambent_server.executors.ray_cluster import Actor, Look, Node, link_environment, probe
@@ -317,7 +317,7 @@ def test_a_cluster_that_obeys_everybody_is_refused_unless_a_setting_allows_it(tm
     assert probe("127.0.0.1:1") == "away"
     given = {"executor": "ray", "data": tmp_path, "worker_address": "127.0.0.1:5"}
     pytest.importorskip("ray")
-    with pytest.raises(ExecutorSetupError, match=r"serve\.ray_without_token.*RAY_AUTH_MODE=token"):
+    with pytest.raises(ServeError, match=r"serve\.ray_without_token.*RAY_AUTH_MODE=token"):
         open_executor(Settings(ray_address=open_to_all, **given), "secret")
     allowed = Settings(ray_address="127.0.0.1:1", ray_without_token=True, **given)
     open_executor(allowed, "secret").close()
@@ -336,7 +336,7 @@ def test_a_cluster_that_obeys_everybody_is_refused_unless_a_setting_allows_it(tm
 )
 def test_what_is_missing_is_said_at_the_start(tmp_path: Path, given: dict[str, Any], code: str):
     pytest.importorskip("ray")
-    with pytest.raises(ExecutorSetupError, match=f"serve.{code}"):
+    with pytest.raises(ServeError, match=f"serve.{code}"):
         open_executor(Settings(executor="ray", data=tmp_path, **given), "secret")
 
 

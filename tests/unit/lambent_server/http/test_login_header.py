@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from lambent_server.core.secrets import SecretError
-from lambent_server.core.settings import Settings
+from lambent_server.core.settings import ServeError, Settings
 from lambent_server.http.login_header import LOGIN_NAME, LOGIN_ORGANISATIONS, LoginHeader, login_secret
 from structlog.testing import capture_logs
 
@@ -84,7 +83,7 @@ def test_only_who_knows_the_secret_names_anybody(tmp_path: Path):
 @pytest.mark.parametrize("trusted", LOCAL)
 def test_a_proxy_of_the_loopback_needs_a_secret(tmp_path: Path, trusted: str):
     settings = Settings(data=tmp_path, login_header="X-Name", trusted_proxies=trusted)
-    with pytest.raises(SecretError, match=r"^serve\.login_secret_missing: .*LAMBENT_LOGIN_SECRET_FILE"):
+    with pytest.raises(ServeError, match=r"^serve\.login_secret_missing: .*LAMBENT_LOGIN_SECRET_FILE"):
         login_secret(settings)
     assert login_secret(settings.model_copy(update=with_secret(tmp_path))) == SECRET.encode()
 
@@ -102,11 +101,11 @@ def test_a_proxy_of_another_machine_and_one_that_names_nobody_need_none(tmp_path
 )
 def test_a_file_without_a_secret_is_refused(tmp_path: Path, text: str):
     settings = Settings(data=tmp_path, **with_secret(tmp_path, text))
-    with pytest.raises(SecretError, match=r"^serve\.login_secret_invalid: .*at least 20"):
+    with pytest.raises(ServeError, match=r"^serve\.login_secret_invalid: .*at least 20"):
         login_secret(settings)
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path):
     settings = Settings(data=tmp_path, login_secret_file=tmp_path / "nothing")
-    with pytest.raises(SecretError, match=r"^serve\.login_secret_invalid: .*nothing cannot be read"):
+    with pytest.raises(ServeError, match=r"^serve\.login_secret_invalid: .*nothing cannot be read"):
         login_secret(settings)

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from lambent_sandbox import sandbox
 from lambent_server.api.problems import Problem
-from lambent_server.core.settings import Settings
-from lambent_server.serving import ServeError, require_sandbox
+from lambent_server.core.settings import ServeError, Settings
+from lambent_server.serving import require_sandbox
 from lambent_server.storage import decoding
 from lambent_server.storage.archives import unpack
 from support import taken_over

@@ -9,10 +9,9 @@ import grpc
 import pytest
 from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
 from lambent_server.cluster.certificates import Certificate, Renewals, certificate_for, issue, make_authority
-from lambent_server.core.secrets import SecretError
-from lambent_server.core.settings import Settings
+from lambent_server.core.settings import ServeError, Settings
 from lambent_server.database.engine import Database
-from lambent_server.serving import ServeError, free_port
+from lambent_server.serving import free_port
 from lambent_server.workers import gate as worker_gate
 from lambent_server.workers.gate import Shares
 from lambent_server.workers.link import network_address
@@ -133,7 +132,7 @@ def test_a_certificate_that_cannot_be_used_is_named(tmp_path: Path, broken: str,
     settings, database = Settings(data=tmp_path, **paths), Database("sqlite://")
     assert certificate_for(database, settings).chain == given.chain
     paths[broken].unlink() if how == "missing" else paths[broken].write_bytes(b"\xffnot PEM")
-    with pytest.raises(SecretError, match=rf"worker_certificate_invalid: .*{broken}\.pem cannot be used"):
+    with pytest.raises(ServeError, match=rf"worker_certificate_invalid: .*{broken}\.pem cannot be used"):
         certificate_for(database, settings)
 
 
@@ -142,7 +141,7 @@ def test_a_key_of_another_certificate_is_named(tmp_path: Path):
     (tmp_path / "chain.pem").write_bytes(issue(authority).chain)
     (tmp_path / "key.pem").write_bytes(issue(authority).key)
     given = {"worker_certificate": tmp_path / "chain.pem", "worker_key": tmp_path / "key.pem"}
-    with pytest.raises(SecretError, match=r"worker_certificate_invalid: .*key\.pem is not the key of"):
+    with pytest.raises(ServeError, match=r"worker_certificate_invalid: .*key\.pem is not the key of"):
         certificate_for(Database("sqlite://"), Settings(data=tmp_path, **given))
 
 
