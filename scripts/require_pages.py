@@ -7,7 +7,7 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PAGES = Path("client/python/lambent_pages/dist")
-REQUIRED = ("jobs.html", "viewer.html", "share.html", "masks.html")
+REQUIRED = ("jobs.html", "viewer.html", "masks.html")
 ANYWAY = "LAMBENT_WITHOUT_PAGES"
 
 

@@ -10,7 +10,6 @@ ENDS = {
     "POST /v1/keys": "with the key that made it",
     "POST /v1/keys/{key_id}:rotate": "as the key that it replaces",
     "POST /v1/bundles/{bundle_id}/shares": "with its maker",
-    "POST /v1/shares:open": "as the link that it exchanges for a cookie",
     "POST /v1/webhooks": "with its maker",
     "PATCH /v1/webhooks/{webhook_id}": "with whoever chose its address or enabled it",
     "POST /v1/webhooks/{webhook_id}:rotate": "with the subscription",

@@ -41,7 +41,7 @@ def add_pages(root: Path) -> None:
     """Write what the build of the pages would."""
     dist = root / "client/python" / PAGES
     (dist / "assets").mkdir(parents=True)
-    for name in ("jobs.html", "viewer.html", "share.html", "masks.html", "assets/jobs-1a2b.js"):
+    for name in ("jobs.html", "viewer.html", "masks.html", "assets/jobs-1a2b.js"):
         (dist / name).write_text(name)
 
 

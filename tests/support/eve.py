@@ -117,7 +117,7 @@ def share(client: TestClient, **body: Any) -> str:
 
 
 def opens(api: Api, token: str) -> bool:
-    return api.other(None).post("/v1/shares:open", json={"token": token}).status_code == 200
+    return api.other(token).get("/v1/bundles/bundle_x/manifest").status_code == 200
 
 
 def subscribe(client: TestClient) -> dict[str, Any]:

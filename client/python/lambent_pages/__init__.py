@@ -33,7 +33,7 @@ _HASHED = "assets"
 # The element for other people's pages.
 _ELEMENT = "lambent-viewer.js"
 # The pages that compute in WebAssembly; workers have the policy of their own script.
-_WITHOUT_WASM = frozenset({"jobs.html", "masks.html", "share.html"})
+_WITHOUT_WASM = frozenset({"jobs.html", "masks.html"})
 # Of pages that must not depend on the build; colours and sizes are those of client/web/src/page/page.css.
 _PLAIN_STYLE = """
       :root { color-scheme: light dark; font: 16px / 1.5 system-ui, sans-serif; }

@@ -6,7 +6,6 @@ import { explain } from "../src/page/actions.js";
 import { bundleAt, jobAddress, placeOf, sceneAddress, viewerAddress } from "../src/page/addresses.js";
 import { formatAbout, formatDuration, formatSize } from "../src/page/format.js";
 import { createApi, Refused, requireOk, type SceneReport, Unreachable } from "../src/page/rest.js";
-import { openShare } from "../src/share/link.js";
 
 describe("addresses", () => {
   it("lead back to what they were made of", () => {
@@ -167,30 +166,5 @@ describe("the interface", () => {
     expect(seen[0]![1]!.headers).toMatchObject({ "x-lambent-csrf": "1", "idempotency-key": "key-1" });
     const away = createApi(() => Promise.reject(new TypeError("network")));
     await expect(away.jobs()).rejects.toThrow(Unreachable);
-  });
-});
-
-describe("a share link", () => {
-  const opened = { bundle_id: "bundle_1", expires_at: "2026-01-01T00:00:00Z" };
-
-  it("leads to the viewer, or says why not", async () => {
-    const tokens: string[] = [];
-    const api = {
-      openShare: async (token: string) => {
-        tokens.push(token);
-        return opened;
-      },
-    };
-    expect(await openShare("#share_1.ab", api)).toEqual({ viewer: viewerAddress("bundle_1") });
-    expect(await openShare("#share_1.ab&rotate=40,0,0&src=elsewhere", api)).toEqual({
-      viewer: viewerAddress("bundle_1", "rotate=40,0,0"),
-    });
-    expect(tokens).toEqual(["share_1.ab", "share_1.ab"]);
-    expect(await openShare("", api)).toMatchObject({ message: expect.stringContaining("incomplete") });
-    const fail = (error: Error) => ({ openShare: () => Promise.reject(error) });
-    const ended = await openShare("#x", fail(new Refused(401, "share_invalid", "no", false)));
-    expect(ended).toMatchObject({ message: expect.stringContaining("revoked") });
-    const away = await openShare("#x", fail(new Unreachable("away")));
-    expect(away).toMatchObject({ message: expect.stringContaining("does not answer") });
   });
 });

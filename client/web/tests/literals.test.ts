@@ -41,7 +41,7 @@ describe("texts that people read", () => {
 
   it("of the pages themselves are so, too", () => {
     const pages = readdirSync(web).filter((name) => name.endsWith(".html"));
-    expect(pages.length).toBe(5);
+    expect(pages.length).toBe(4);
     for (const name of pages) {
       const texts = textsIn(readFileSync(join(web, name), "utf8"));
       expect({ name, texts: [...new Set(texts)] }).toEqual({ name, texts: ["Lambent"] });

@@ -17,16 +17,10 @@ from lambent_server.database.people_schema import organisations
 from lambent_server.database.schema import shares
 from lambent_server.database.tenancy import Tenant, across_tenants, add, change, find
 
-COOKIE = "lambent_share"
 _READS = re.compile(r"/v1/bundles/([^/:]+)(/manifest|/files/.+)")
 _TOKEN = re.compile(r"(share_[a-z0-9]{1,40})\.([0-9a-f]{64})")
 
 Row = Mapping[str, Any]
-
-
-def cookie_path(bundle_id: str) -> str:
-    """Return the only path to which a browser sends the secret of a link."""
-    return f"/v1/bundles/{bundle_id}/"
 
 
 def page_path(share_id: str) -> str:
@@ -96,12 +90,6 @@ def signed(connection: Connection, secret: str, token: str) -> Row | None:
     if row is None:
         return None
     return row if hmac.compare_digest(sign(secret, row), token) else None
-
-
-def granted(connection: Connection, secret: str, token: str) -> Row | None:
-    """Return the share of a token, or None if the token is forged, expired or revoked."""
-    row = signed(connection, secret, token)
-    return row if row is not None and is_active(row) else None
 
 
 def find_any(connection: Connection, share_id: str) -> Row | None:

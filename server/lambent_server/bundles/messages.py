@@ -79,19 +79,6 @@ class ShareList(Shown):
     next_cursor: str | None
 
 
-class ShareToken(Given):
-    """The secret part of a link."""
-
-    token: Annotated[str, Field(min_length=1, max_length=300)]
-
-
-class OpenedShare(Shown):
-    """The bundle that a link gives access to."""
-
-    bundle_id: str
-    expires_at: str
-
-
 class Signature(Shown):
     """A signature of a statement."""
 

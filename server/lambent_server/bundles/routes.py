@@ -9,25 +9,14 @@ from lambent_server.api.change_messages import BundleChange
 from lambent_server.api.idempotency import made_before
 from lambent_server.api.labels import having
 from lambent_server.api.pagination import LabelFilter, LongPageFilter, select_newest
-from lambent_server.api.problems import Problem
 from lambent_server.api.resources import IdempotencyKey, IfMatch, ResourceRoute, digest_of, require_match
 from lambent_server.bundles import rows as bundle_rows
-from lambent_server.bundles.messages import (
-    BundleDetail,
-    BundleList,
-    NewShare,
-    OpenedShare,
-    Share,
-    ShareList,
-    ShareToken,
-)
+from lambent_server.bundles.messages import BundleDetail, BundleList, NewShare, Share, ShareList
 from lambent_server.core.clock import new_id, now, rfc3339
 from lambent_server.database.schema import bundles
 from lambent_server.database.schema import shares as share_rows
-from lambent_server.database.tenancy import Tenant
 from lambent_server.http.common import Id, ServicesOf, TenantOf, WhoOf, problems
 from lambent_server.jobs import removals
-from lambent_server.people.cookies import visitor
 
 router = APIRouter(tags=["bundles"], route_class=ResourceRoute)
 
@@ -152,34 +141,3 @@ def revoke_share(services: ServicesOf, tenant: TenantOf, who: WhoOf, share_id: I
         shares.revoke(connection, tenant, share_id)
         audit.record(connection, who, "revoke_share", share_id)
     return Response(status_code=204)
-
-
-@router.post("/v1/shares:open", responses=problems(400, 413, 422))
-def open_share(services: ServicesOf, request: Request, response: Response, body: ShareToken) -> OpenedShare:
-    """Exchange the secret of a link for a cookie that gives read access to its bundle."""
-    with services.database.write() as connection:
-        row = shares.granted(connection, _secret(request), body.token)
-        if row is not None:
-            audit.record(
-                connection,
-                visitor(request, Tenant(row["tenant_id"]), "link", row["id"]),
-                "open_share",
-                row["bundle_id"],
-            )
-    if row is None:
-        raise Problem(
-            401,
-            "share_invalid",
-            "this link is invalid, expired or revoked; ask the person who sent it for a new one",
-            headers={"www-authenticate": 'Bearer realm="lambent"'},
-        )
-    response.set_cookie(
-        shares.COOKIE,
-        body.token,
-        path=shares.cookie_path(row["bundle_id"]),
-        max_age=max(int(row["expires_at"] - now()), 1),
-        httponly=True,
-        samesite="strict",
-        secure=request.url.scheme == "https",
-    )
-    return OpenedShare(bundle_id=row["bundle_id"], expires_at=rfc3339(row["expires_at"]))

@@ -33,7 +33,7 @@ SMALL_BODY_BYTES = 64 * 1024
 RETRY_AFTER_S = 5
 
 _NOT_COUNTED = frozenset({"/healthz", "/readyz", "/v1/version"})
-_SIGN_IN = re.compile(r"/v1/(login|shares:open|sign-in(/callback)?)")
+_SIGN_IN = re.compile(r"/v1/(login|sign-in(/callback)?)")
 _EVERYBODY = ""
 
 

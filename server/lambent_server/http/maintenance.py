@@ -14,7 +14,7 @@ App = Callable[[Scope, Any, Any], Awaitable[None]]
 
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 # POSTs that change nothing but who is logged in, or nothing at all.
-_READS = re.compile(r"/v1/(login|logout|login-links|shares:open|estimates|me:switch)")
+_READS = re.compile(r"/v1/(login|logout|login-links|estimates|me:switch)")
 _CODE = "maintenance"
 
 

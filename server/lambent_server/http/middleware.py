@@ -14,7 +14,6 @@ from starlette.datastructures import Headers
 
 from lambent_server.accounts import audit
 from lambent_server.accounts.scopes import READ
-from lambent_server.accounts.shares import COOKIE as SHARE_COOKIE
 from lambent_server.accounts.shares import bundle_read, frame_ancestors, is_active, is_token
 from lambent_server.accounts.who import Who
 from lambent_server.api.outside_text import check_target
@@ -189,32 +188,30 @@ class Gate:
             self._check_same_site(headers)
 
     async def _who_of(self, scope: Scope, headers: Headers) -> Who | None:
-        """Return who makes a request: by key, else by the cookie of a share link, else by session."""
+        """Return who makes a request: by key, by the secret of a share link, or by session."""
         database, method = self._services.database, scope["method"]
         state = scope.setdefault("state", {})
         scheme, _, key = headers.get("authorization", "").partition(" ")
         bearer = key.strip() if scheme.lower() == "bearer" else None
-        bundle_id, cookies = bundle_read(method, scope["path"]), headers.get("cookie", "")
-        by_header = bearer is not None and is_token(bearer)
-        shared = bearer if by_header else cookie_token(cookies, SHARE_COOKIE)
-        state["by_key"] = bearer is not None and not by_header
-        if bearer is not None and not by_header:
+        state["by_key"] = bearer is not None and not is_token(bearer)
+        if bearer is not None and state["by_key"]:
             state["credential"] = _name("key", bearer)
             return await self._identified(state, partial(who_of_key, self._services, bearer))
-        if bundle_id and shared:
-            share = await to_thread.run_sync(share_of_token, database, self._share_secret, shared, bundle_id)
-            # Cookies are of this site only, so that nobody elsewhere reads with those of a visitor. The pages
-            # that a link names may read, too, that it has ended.
-            if share is not None and by_header and headers.get("origin") in frame_ancestors(share):
+        if bearer is not None:
+            bundle_id = bundle_read(method, scope["path"])
+            if bundle_id is None:
+                return None
+            share = await to_thread.run_sync(share_of_token, database, self._share_secret, bearer, bundle_id)
+            # The pages that a link names may also read that it has ended.
+            if share is not None and headers.get("origin") in frame_ancestors(share):
                 state["cross_origin"] = headers["origin"]
             if share is not None and is_active(share):
                 state["by_share"] = True
                 state["credential"] = f"link {share['id']}"
                 tenant = Tenant(share["tenant_id"])
                 return Who(tenant=tenant, kind="link", id=share["id"], scopes=frozenset({READ}))
-        if by_header:
             return None
-        token = cookie_token(cookies)
+        token = cookie_token(headers.get("cookie", ""))
         state["credential"] = _name("session", token or "")
         if token is None:
             return None

@@ -29,7 +29,7 @@ log = structlog.get_logger()
 # The pages contain no secrets: they request their data with a cookie.
 PUBLIC = re.compile(
     r"/|/assets/.*|/[a-z0-9._-]+\.(html|js|css|svg|json|wasm)|/healthz|/readyz"
-    r"|/v1/(version|provenance-key|login|shares:open|sign-in(/callback)?)|/embed/[^/]+(/picture)?"
+    r"|/v1/(version|provenance-key|login|sign-in(/callback)?)|/embed/[^/]+(/picture)?"
 )
 SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 # The largest body of a request to one of these, which has no authentication yet: a code.

@@ -29,7 +29,6 @@ SCOPES: dict[str, ScopeName | None] = {
     "get_embed_picture": None,
     # Signing in and out
     "log_in": None,
-    "open_share": None,
     "begin_sign_in": None,
     "end_sign_in": None,
     "log_out": READ,

@@ -951,16 +951,6 @@ export interface components {
             maintenance: components["schemas"]["Notice"] | null;
         };
         /**
-         * OpenedShare
-         * @description The bundle that a link gives access to.
-         */
-        OpenedShare: {
-            /** Bundle Id */
-            bundle_id: string;
-            /** Expires At */
-            expires_at: string;
-        };
-        /**
          * PictureFigures
          * @description Mirrors lambent_proto.v1.PictureFigures.
          */
@@ -1535,14 +1525,6 @@ export interface components {
             items: components["schemas"]["Share"][];
             /** Next Cursor */
             next_cursor: string | null;
-        };
-        /**
-         * ShareToken
-         * @description The secret part of a link.
-         */
-        ShareToken: {
-            /** Token */
-            token: string;
         };
         /**
          * Signature

@@ -1,10 +1,8 @@
 /** Addresses inside this site. */
 
-/** Return the address of the viewer with a bundle of this server; `view` are parameters of what it shows. */
-export function viewerAddress(bundleId: string, view = ""): string {
-  const parameters = new URLSearchParams(view);
-  parameters.set("src", `/v1/bundles/${bundleId}`);
-  return `viewer.html#${parameters}`;
+/** Return the address of the viewer with a bundle of this server. */
+export function viewerAddress(bundleId: string): string {
+  return `viewer.html#${new URLSearchParams({ src: `/v1/bundles/${bundleId}` })}`;
 }
 
 /** Return the id of the bundle at an address, where that is one of the server that `page` came from; else null. */

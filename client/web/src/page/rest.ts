@@ -220,7 +220,6 @@ export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
         ...(frameAncestors.length > 0 ? { frame_ancestors: frameAncestors } : {}),
       }),
     revokeShare: (id: string) => json<null>("DELETE", `/v1/shares/${id}`),
-    openShare: (token: string) => json<Schemas["OpenedShare"]>("POST", "/v1/shares:open", { token }),
     /** A JSON file among a job's artifacts. */
     document: <T>(url: string) => answer<T>("GET", url),
     /** The bytes of an artifact. */

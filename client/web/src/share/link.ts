@@ -1,7 +1,5 @@
-/** What the pages of a share link show. */
+/** What the page of a share link shows. */
 
-import { viewerAddress } from "../page/addresses.js";
-import { type Api, Refused } from "../page/rest.js";
 import { texts } from "../words/words.js";
 
 export type SharedView = {
@@ -37,21 +35,4 @@ export function sharedView(
     state: parameters.toString(),
     controls: controls === null ? null : controls === "1",
   };
-}
-
-export type Opened = { readonly viewer: string } | { readonly message: string };
-
-/** Exchange the secret in a fragment for a cookie; return where the viewer shows the bundle, or what to tell the visitor. */
-export async function openShare(fragment: string, api: Pick<Api, "openShare">): Promise<Opened> {
-  const [token = "", view] = fragment.replace(/^#/, "").split(/&(.*)/s);
-  if (token === "") return { message: texts.share.incomplete };
-  try {
-    const opened = await api.openShare(token);
-    return { viewer: viewerAddress(opened.bundle_id, view) };
-  } catch (error) {
-    if (error instanceof Refused && error.status < 500) {
-      return { message: texts.share.ended };
-    }
-    return { message: texts.share.noServer };
-  }
 }

@@ -156,7 +156,6 @@ const states: readonly State[] = [
     },
   },
   { name: "masks-cut-off", world: "full", at: "masks.html", ready: "#message:not([hidden])" },
-  { name: "share-ended", world: "locked", at: "share.html#share_1.secret", ready: "#message:not(:empty)" },
   { name: "embed-ended", world: "locked", at: "shared.html#secret", ready: "[role=alert]" },
   { name: "no-such-page", world: "locked", at: "no-such-page", ready: "h1" },
 ];

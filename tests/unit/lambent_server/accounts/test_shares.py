@@ -3,11 +3,10 @@
 import contextlib
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 from lambent_server.accounts import organisations
-from lambent_server.accounts.shares import COOKIE, bundle_read, find_any, is_active
+from lambent_server.accounts.shares import bundle_read, find_any, is_active
 from lambent_server.core.clock import now
 from lambent_server.database.schema import shares as table
 from lambent_server.database.tenancy import change
@@ -15,6 +14,7 @@ from lambent_server.maintenance.housekeeping import sweep
 from support.api import STRANGER, STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
 from support.server_rows import add_bundle
 
+MANIFEST = "/v1/bundles/bundle_shown/manifest"
 FILES = {"manifest.json": b"{}", "models/cache.onnx": b"cache"}
 
 
@@ -34,46 +34,20 @@ def make(api: Api, **body: object) -> tuple[dict, str]:
     return share, share["url"].partition("#")[2]
 
 
-def visitor(api: Api, token: str):
-    """Return a browser that has opened the link."""
-    browser = api.other(None)
-    expect(browser.post("/v1/shares:open", json={"token": token}), 200)
-    return browser
-
-
-def with_cookie(api: Api, token: str):
-    """Return a browser that sends the token everywhere, whatever path it was given for."""
-    browser = api.other(None)
-    browser.headers["cookie"] = f"{COOKIE}={token}"
-    return browser
-
-
 def test_a_link_reads_its_bundle(api: Api):
     share, token = make(api, expires_in_s=3600)
     assert share["url"] == f"http://localhost/embed/{share['id']}#{token}"
     assert token.startswith(f"{share['id']}.")
-    browser = visitor(api, token)
+    browser = api.other(token)
     assert browser.get("/v1/bundles/bundle_shown/files/models/cache.onnx").content == b"cache"
-    expect(browser.get("/v1/bundles/bundle_shown/manifest"), 200)
-
-
-def test_the_cookie_is_for_this_bundle_only_and_not_for_scripts(api: Api):
-    _, token = make(api, expires_in_s=3600)
-    answer = api.other(None).post("/v1/shares:open", json={"token": token})
-    cookie = answer.headers["set-cookie"].lower()
-    assert "path=/v1/bundles/bundle_shown/;" in cookie
-    assert "httponly" in cookie
-    assert "samesite=strict" in cookie
-    seconds = int(cookie.partition("max-age=")[2].partition(";")[0])
-    assert 3590 <= seconds <= 3600
-    assert expect(answer, 200)["bundle_id"] == "bundle_shown"
+    expect(browser.get(MANIFEST), 200)
 
 
 def test_a_link_opens_nothing_else(api: Api):
     _, token = make(api)
     job = api.job()
-    thief = with_cookie(api, token)
-    expect(thief.get("/v1/bundles/bundle_shown/manifest"), 200)
+    thief = api.other(token)
+    expect(thief.get(MANIFEST), 200)
     for method, path in (
         ("get", "/v1/bundles/bundle_other/manifest"),
         ("get", "/v1/bundles/bundle_other/files/models/cache.onnx"),
@@ -99,39 +73,38 @@ def test_a_link_opens_nothing_else(api: Api):
 
 def test_a_link_taken_back_is_closed_for_those_who_opened_it(api: Api):
     share, token = make(api)
-    browser = visitor(api, token)
-    answer = browser.get("/v1/bundles/bundle_shown/manifest")
+    browser = api.other(token)
+    answer = browser.get(MANIFEST)
     expect(answer, 200)
     # Or the browser would continue showing what it has kept.
     assert answer.headers["cache-control"] == "private, no-cache"
-    assert "immutable" in api.get("/v1/bundles/bundle_shown/manifest").headers["cache-control"]
+    assert "immutable" in api.get(MANIFEST).headers["cache-control"]
     expect(api.delete(f"/v1/shares/{share['id']}"), 204)
     expect(api.delete(f"/v1/shares/{share['id']}"), 204)
-    expect_problem(browser.get("/v1/bundles/bundle_shown/manifest"), 401, "not_authenticated")
-    expect_problem(api.other(None).post("/v1/shares:open", json={"token": token}), 401, "share_invalid")
+    expect_problem(browser.get(MANIFEST), 401, "not_authenticated")
     listed = expect(api.get("/v1/bundles/bundle_shown/shares"), 200)["items"]
     assert share["id"] not in [each["id"] for each in listed]
 
 
 def test_a_link_ends(api: Api, monkeypatch: pytest.MonkeyPatch):
     _, token = make(api, expires_in_s=60)
-    browser = with_cookie(api, token)
-    expect(browser.get("/v1/bundles/bundle_shown/manifest"), 200)
+    browser = api.other(token)
+    expect(browser.get(MANIFEST), 200)
     monkeypatch.setattr("lambent_server.accounts.shares.now", lambda: time.time() + 61)
-    expect_problem(browser.get("/v1/bundles/bundle_shown/manifest"), 401, "not_authenticated")
+    expect_problem(browser.get(MANIFEST), 401, "not_authenticated")
 
 
 def test_what_a_link_grants_is_signed(api: Api):
     share, token = make(api, expires_in_s=60)
     forged = token[:-1] + ("0" if token[-1] != "0" else "1")
     for wrong in (forged, share["id"], share["id"] + ".", "x", token + "x", token.upper()):
-        expect_problem(api.other(None).post("/v1/shares:open", json={"token": wrong}), 401, "share_invalid")
+        expect_problem(api.other(wrong).get(MANIFEST), 401, "not_authenticated")
     # Someone who can write rows but does not have the secret gains nothing by them.
     for values in ({"bundle_id": "bundle_other"}, {"expires_at": now() + 1e6}):
         row, mine = make(api)
         with api.services.database.write() as connection:
             connection.execute(change(TENANT, table).where(table.c.id == row["id"]).values(**values))
-        expect_problem(api.other(None).post("/v1/shares:open", json={"token": mine}), 401, "share_invalid")
+        expect_problem(api.other(mine).get(MANIFEST), 401, "not_authenticated")
 
 
 def test_only_the_owner_makes_and_takes_back_links(api: Api):
@@ -140,7 +113,7 @@ def test_only_the_owner_makes_and_takes_back_links(api: Api):
     expect_problem(stranger.post("/v1/bundles/bundle_shown/shares", json={}), 404, "bundle_not_found")
     expect_problem(stranger.get("/v1/bundles/bundle_shown/shares"), 404, "bundle_not_found")
     expect_problem(stranger.delete(f"/v1/shares/{share['id']}"), 404, "share_not_found")
-    visitor(api, token)
+    expect(api.other(token).get(MANIFEST), 200)
     for seconds in (0, 59, 10**9, "x"):
         answer = api.post("/v1/bundles/bundle_shown/shares", json={"expires_in_s": seconds})
         expect_problem(answer, 422, "invalid_request")
@@ -179,16 +152,14 @@ def closed(api: Api) -> Iterator[None]:
 
 def test_links_of_a_closed_organisation_show_nothing_until_it_is_open_again(api: Api):
     share, token = make(api, expires_in_s=3600)
-    browser, program = visitor(api, token), api.other(token)
+    visitor = api.other(token)
     page = f"/embed/{share['id']}"
-    before = [(who, path) for who in (browser, program) for path in ("manifest", "files/models/cache.onnx")]
-    for who, path in before:
-        expect_any(who.get(f"/v1/bundles/bundle_shown/{path}"), 200)
+    paths = [f"/v1/bundles/bundle_shown/{name}" for name in ("manifest", "files/models/cache.onnx")]
+    assert [visitor.get(path).status_code for path in paths] == [200, 200]
     assert api.other(None).get(page).status_code in (200, 503)
     with closed(api):
-        for who, path in before:
-            expect_problem(who.get(f"/v1/bundles/bundle_shown/{path}"), 401, "not_authenticated")
-        expect_problem(api.other(None).post("/v1/shares:open", json={"token": token}), 401, "share_invalid")
+        for path in paths:
+            expect_problem(visitor.get(path), 401, "not_authenticated")
         answer = api.other(None).get(page)
         assert answer.status_code in (410, 503)
         assert "lambent-bundle" not in answer.text
@@ -197,10 +168,4 @@ def test_links_of_a_closed_organisation_show_nothing_until_it_is_open_again(api:
             row = find_any(connection, share["id"])
         assert row is not None
         assert not is_active(row)
-    for who, path in before:
-        expect_any(who.get(f"/v1/bundles/bundle_shown/{path}"), 200)
-
-
-def expect_any(answer: Any, status: int) -> None:
-    """Check the status of an answer that is not a JSON."""
-    assert answer.status_code == status, answer.text
+    assert [visitor.get(path).status_code for path in paths] == [200, 200]
