@@ -165,7 +165,7 @@ def test_a_stop_inside_the_bake_leaves_no_rays_for_the_next_mesh(context, tmp_pa
         corners = SQUARE - np.float32([0.5, 0.5, 0.0])
         writer.mesh(corners, material=writer.material({}))
 
-    whole = edited.write_given_transport
+    whole = edited.bake_transport
 
     def stopped(*arguments, store, advance, **options):
         def stop(share):
@@ -174,7 +174,7 @@ def test_a_stop_inside_the_bake_leaves_no_rays_for_the_next_mesh(context, tmp_pa
 
         whole(*arguments, store=store, advance=stop, **options)
 
-    monkeypatch.setattr(edited, "write_given_transport", stopped)
+    monkeypatch.setattr(edited, "bake_transport", stopped)
     with pytest.raises(Stopped):
         edited.export_edited(context.run_dir, tmp_path / "b", EDITED / "ball_edited.glb", Listener())
     assert not list(tmp_path.glob("*.partial*"))
@@ -182,7 +182,7 @@ def test_a_stop_inside_the_bake_leaves_no_rays_for_the_next_mesh(context, tmp_pa
     left = tmp_path / "b.partial.rays"
     left.mkdir()
     (left / "00000000.npz").write_bytes(b"of another mesh")
-    monkeypatch.setattr(edited, "write_given_transport", whole)
+    monkeypatch.setattr(edited, "bake_transport", whole)
     path = glb_file(tmp_path / "square.glb", other)
     for name in ("b", "fresh"):
         edited.export_edited(context.run_dir, tmp_path / name, path, Listener())

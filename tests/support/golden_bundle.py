@@ -64,9 +64,7 @@ def write_golden(folder: Path, name: str, *, lite: bool) -> None:
     for picture in (context.folder / "preview").iterdir():
         picture.unlink()
     (context.folder / "cameras.json").write_text(cameras_json([CAMERA]))
-    files = [path.relative_to(context.folder).as_posix() for path in sorted(context.folder.rglob("*.*"))]
-    del made.manifest.files[:]
-    write_manifest(context.folder, made.manifest, [path for path in files if path != "manifest.json"])
+    write_manifest(context.folder, made.manifest)
     with zipfile.ZipFile(folder / f"{name}.relight.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(path for path in context.folder.rglob("*") if path.is_file()):
             entry = zipfile.ZipInfo(path.relative_to(context.folder).as_posix())

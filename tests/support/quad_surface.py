@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from lambent_asset.transport.transport import BakedSurface
 from lambent_asset.transport.transport_bounce import Reflectors
+from lambent_asset.transport.transport_rays import BakedSurface
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ Written here and not with a mesh library: decision 0034. Source: glTF 2.0 specif
 """
 
 import io
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -17,6 +18,7 @@ from lambent_asset.textures import textures as baked
 from lambent_asset.textures.surface import AtlasSurface
 from lambent_asset.textures.textures import TextureSet
 
+Json = dict[str, Any]
 _FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125
 _VERTICES, _INDICES = 34962, 34963
 _LINEAR, _LINEAR_MIPMAP_LINEAR, _CLAMP = 9729, 9987, 33071
@@ -51,8 +53,14 @@ def write_glb(surface: AtlasSurface, textures: TextureSet, *, unit: str) -> byte
         file.image("occlusion, roughness, metalness", baked.occlusion_roughness_metalness_png(textures)),
         file.image("normal", baked.normal_png(textures)),
     ]
+    primitive = {"attributes": attributes, "indices": indices, "material": 0}
+    return glb_of(_document(file, primitive, images, unit), bytes(file.data))
+
+
+def _document(file: "_File", primitive: Json, images: list[Json], unit: str) -> Json:
+    """Return the description of what is in `file`: one node with one mesh and its material."""
     half = float(np.sqrt(0.5))
-    document = {
+    return {
         "asset": {
             "version": "2.0",
             "generator": "lambent",
@@ -62,9 +70,7 @@ def write_glb(surface: AtlasSurface, textures: TextureSet, *, unit: str) -> byte
         "scenes": [{"nodes": [0]}],
         # A quarter turn about x brings +z to +y.
         "nodes": [{"name": "asset", "mesh": 0, "rotation": [-half, 0.0, 0.0, half]}],
-        "meshes": [
-            {"name": "asset", "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}
-        ],
+        "meshes": [{"name": "asset", "primitives": [primitive]}],
         "materials": [
             {
                 "name": "surface",
@@ -89,7 +95,6 @@ def write_glb(surface: AtlasSurface, textures: TextureSet, *, unit: str) -> byte
         "bufferViews": file.views,
         "accessors": file.accessors,
     }
-    return glb_of(document, bytes(file.data))
 
 
 class _File:
@@ -97,8 +102,8 @@ class _File:
 
     def __init__(self) -> None:
         self.data = bytearray()
-        self.views: list[dict] = []
-        self.accessors: list[dict] = []
+        self.views: list[Json] = []
+        self.accessors: list[Json] = []
 
     def accessor(
         self,
@@ -117,7 +122,7 @@ class _File:
         )
         return len(self.accessors) - 1
 
-    def image(self, name: str, png: bytes) -> dict:
+    def image(self, name: str, png: bytes) -> Json:
         """Append a PNG file and return the entry of its image."""
         return {"name": name, "mimeType": "image/png", "bufferView": self._view(png)}
 
@@ -129,18 +134,18 @@ class _File:
 
 def check_glb(data: bytes, surface: AtlasSurface) -> None:
     """Raise `WorkerError` unless another library reads back the same surface, turned to y up."""
-    found = trimesh.load_scene(io.BytesIO(data), file_type="glb").to_mesh()
+    mesh = trimesh.load_scene(io.BytesIO(data), file_type="glb").to_mesh()
     turned = surface.vertices[:, [0, 2, 1]] * np.array([1.0, 1.0, -1.0], np.float32)
-    same = found.vertices.shape == turned.shape and np.array_equal(found.faces, surface.faces)
+    same = mesh.vertices.shape == turned.shape and np.array_equal(mesh.faces, surface.faces)
     # trimesh counts v from the bottom.
     if not (
         same
-        and np.allclose(found.vertices, turned, atol=1e-5)
-        and np.allclose(found.visual.uv, surface.uv * [1.0, -1.0] + [0.0, 1.0], atol=1e-6)
+        and np.allclose(mesh.vertices, turned, atol=1e-5)
+        and np.allclose(mesh.visual.uv, surface.uv * [1.0, -1.0] + [0.0, 1.0], atol=1e-6)
     ):
         raise WorkerError(
             "export.mesh",
-            f"the mesh file was read back as {len(found.vertices)} vertices and {len(found.faces)} faces "
+            f"the mesh file was read back as {len(mesh.vertices)} vertices and {len(mesh.faces)} faces "
             f"instead of {len(surface.vertices)} and {len(surface.faces)}, or moved; please report this with "
             f"the run's log",
         )

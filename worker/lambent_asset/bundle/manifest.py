@@ -3,7 +3,7 @@
 import hashlib
 import json
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -108,9 +108,11 @@ def write_uncertainty(folder: Path, manifest: bundle_pb2.BundleManifest, grid: U
     stated.box.maximum.extend(grid.high.tolist())
 
 
-def write_manifest(folder: Path, manifest: bundle_pb2.BundleManifest, paths: Sequence[str]) -> None:
-    """Write manifest.json into `folder`, listing the files `paths` that lie in it."""
-    for path in paths:
+def write_manifest(folder: Path, manifest: bundle_pb2.BundleManifest) -> None:
+    """Write manifest.json into `folder`, listing all files there."""
+    del manifest.files[:]
+    files = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
+    for path in sorted(set(files) - {"manifest.json"}):
         data = (folder / path).read_bytes()
         manifest.files.add(
             path=path,

@@ -12,25 +12,24 @@ from lambent_core.scene import Camera
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight import cameras as relight_cameras
 from lambent_relight.baked.raster import block_means, nearest_texel, rasterise
-from lambent_relight.baked.traced_surface import MESH_OFFSET
 from lambent_relight.bundle.archive import open_source
 from lambent_relight.bundle.bundle import WEIGHTS_PATH, Bundle
-from lambent_relight.bundle.graphs import OnnxCaches, SecondaryHits, SurfaceCaches
+from lambent_relight.bundle.graphs import OnnxCaches, SurfaceCaches
 from lambent_relight.fused.reader import FusedCaches
 from lambent_relight.fused.weights import NotFused
-from lambent_relight.tracing.mesh_rays import MeshRays
 from numpy.typing import NDArray
 from PIL import Image
 
 from lambent_asset.bundle.glb import check_glb, write_glb
 from lambent_asset.bundle.mesh_levels import level_textures, levels_of_detail
-from lambent_asset.bundle.transport_files import mesh_positions, mesh_rays
+from lambent_asset.bundle.transport_files import mesh_positions
 from lambent_asset.bundle.usd import write_usdz
 from lambent_asset.mesh.mesh import Corner
 from lambent_asset.mesh.mesh_health import mesh_health
 from lambent_asset.textures.surface import AtlasSurface
-from lambent_asset.textures.surface_occlusion import Rows, bake_occlusion
+from lambent_asset.textures.surface_occlusion import bake_occlusion
 from lambent_asset.textures.textures import Plane, TextureSet, bake_materials
+from lambent_asset.transport.transport_rays import TriangleRays
 
 ASSET_PATH = "mesh/asset.glb"
 USDZ_PATH = "mesh/asset.usdz"
@@ -54,16 +53,11 @@ def write_asset(
     not into a lite bundle.
     Raises WorkerError where the file is not read back as it was meant.
     """
-    rays = MeshRays(surface.vertices, surface.faces)
-
-    def met(origin: Rows, direction: Rows) -> SecondaryHits:
-        opacity, distance = mesh_rays(rays)(origin, direction)
-        return SecondaryHits(opacity=opacity, distance=distance)
-
+    rays = TriangleRays(surface.vertices, surface.faces)
     occlusion = bake_occlusion(
         replace(surface, positions=mesh_positions(surface)),
-        met,
-        origin_offset=MESH_OFFSET * rays.size,
+        rays,
+        origin_offset=rays.offset,
         num_points=config.occlusion_points,
         num_rays=config.occlusion_rays,
     )
@@ -161,8 +155,8 @@ def silhouette_iou(
     Intersection over union of partial coverage: the sum of the smaller values divided by that of the larger.
     """
     height, width = camera.height * SUPERSAMPLING, camera.width * SUPERSAMPLING
-    found = rasterise(surface.vertices, surface.faces, camera.resized(width, height))
-    covered = block_means(found.covered.astype(np.float32), SUPERSAMPLING)
+    fragments = rasterise(surface.vertices, surface.faces, camera.resized(width, height))
+    covered = block_means(fragments.covered.astype(np.float32), SUPERSAMPLING)
     seen = np.clip(opacity.reshape(covered.shape), 0.0, 1.0)
     union = float(np.maximum(covered, seen).sum())
     return float(np.minimum(covered, seen).sum()) / union if union > 0.0 else 1.0

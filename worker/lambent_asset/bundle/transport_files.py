@@ -14,10 +14,8 @@ from lambent_compute.threads import available_threads
 from lambent_core.errors import WorkerError
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight.baked.raster import interpolate, rasterise_uv
-from lambent_relight.baked.traced_surface import MESH_OFFSET
-from lambent_relight.baked.transport import Transport, transport_files
+from lambent_relight.baked.transport import Transport
 from lambent_relight.bundle.graphs import SurfaceCaches
-from lambent_relight.tracing.mesh_rays import MeshRays
 from numpy import ndarray
 
 from lambent_asset.bundle.graphs import PARITY_ROWS
@@ -25,9 +23,9 @@ from lambent_asset.bundle.manifest import add_graph
 from lambent_asset.bundle.parity import TOLERANCE, ParityResult
 from lambent_asset.mesh.mesh_unseen import plain_where_unseen
 from lambent_asset.textures.surface import AtlasSurface
-from lambent_asset.transport.transport import BakedSurface, TransportConfig, bake_transport
+from lambent_asset.transport.transport import TransportConfig, bake_transport
 from lambent_asset.transport.transport_bounce import Reflectors
-from lambent_asset.transport.transport_rays import SecondaryRays
+from lambent_asset.transport.transport_rays import BakedSurface, TriangleRays
 
 
 def baked_transport(
@@ -44,26 +42,24 @@ def baked_transport(
     Materials are those of `caches`; rays are traced against the mesh. Finished ones lie in `store` until the
     bake is done. `advance` is called with the finished share and may raise to stop.
     """
-    found = caches.material(surface.positions)
+    trained = caches.material(surface.positions)
     materials = [
         plain_where_unseen(values, surface.positions, surface.unseen) if len(surface.unseen) else values
-        for values in (found.albedo, found.perceptual_roughness, found.metalness)
+        for values in (trained.albedo, trained.perceptual_roughness, trained.metalness)
     ]
     reflectors = Reflectors(*materials)
     covered = BakedSurface(
         surface.size, surface.texel_index, mesh_positions(surface), surface.texel_normals.astype(np.float32)
     )
-    rays = MeshRays(surface.vertices, surface.faces)
+    rays = TriangleRays(surface.vertices, surface.faces)
     digest = hashlib.sha256(repr(config.rays).encode())
-    for array in (covered.positions, covered.normals):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    for array in (surface.vertices, surface.faces):
+    for array in (covered.positions, covered.normals, surface.vertices, surface.faces):
         digest.update(np.ascontiguousarray(array).tobytes())
     transport, figures = bake_transport(
         covered,
         reflectors,
-        mesh_rays(rays),
-        origin_offset=MESH_OFFSET * rays.size,
+        rays,
+        origin_offset=rays.offset,
         config=config,
         store=store / digest.hexdigest()[:16],
         advance=advance,
@@ -73,30 +69,10 @@ def baked_transport(
     return transport, figures
 
 
-def write_transport(transport: Transport, manifest: bundle_pb2.BundleManifest, folder: Path) -> None:
-    """Write `transport` into `folder`/transport and describe it in `manifest`."""
-    (folder / "transport").mkdir(exist_ok=True)
-    for path, data in transport_files(transport, manifest).items():
-        (folder / path).write_bytes(data)
-
-
 def mesh_positions(surface: AtlasSurface) -> Float[ndarray, "texels 3"]:
     """Return the places of the covered texels on the mesh itself, scene units."""
-    found = rasterise_uv(surface.uv, surface.faces, surface.size)
-    return interpolate(found, surface.faces, surface.vertices)
-
-
-def mesh_rays(rays: MeshRays) -> SecondaryRays:
-    """Return what rays meet on a mesh, as opacity, 0 or 1, and distance, 0 where the ray is free."""
-
-    def traced(
-        origin: Float[ndarray, "rays 3"], direction: Float[ndarray, "rays 3"]
-    ) -> tuple[Float[ndarray, "rays 1"], Float[ndarray, "rays 1"]]:
-        hits = rays(origin, direction)
-        distance = np.where(hits.blocked, hits.distance, np.float32(0.0))
-        return hits.blocked[:, None].astype(np.float32), distance[:, None]
-
-    return traced
+    fragments = rasterise_uv(surface.uv, surface.faces, surface.size)
+    return interpolate(fragments, surface.faces, surface.vertices)
 
 
 def write_relight_graph(manifest: bundle_pb2.BundleManifest, folder: Path, *, seed: int) -> ParityResult:
@@ -116,9 +92,9 @@ def write_relight_graph(manifest: bundle_pb2.BundleManifest, folder: Path, *, se
     data = relight_graph(*sizes, WeightFile(), metadata).SerializeToString(deterministic=True)
     inputs = _random_pixels(*sizes, seed)
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
-    (found,) = session.run(["radiance"], inputs)
+    (radiance,) = session.run(["radiance"], inputs)
     expected = relight(**{name: values.astype(np.float64) for name, values in inputs.items()})
-    error = float((np.abs(found - expected) / np.maximum(1.0, np.abs(expected))).max())
+    error = float((np.abs(radiance - expected) / np.maximum(1.0, np.abs(expected))).max())
     if not error <= TOLERANCE:
         raise WorkerError(
             "export.parity",
@@ -127,7 +103,7 @@ def write_relight_graph(manifest: bundle_pb2.BundleManifest, folder: Path, *, se
             f"({onnxruntime.__version__})",
         )
     (folder / "models" / "relight.onnx").write_bytes(data)
-    result = ParityResult(max_abs_error=error, num_samples=len(found), num_left_out=0)
+    result = ParityResult(max_abs_error=error, num_samples=len(radiance), num_left_out=0)
     add_graph(manifest, "relight", "models/relight.onnx", "", result)
     return result
 

@@ -32,6 +32,7 @@ from lambent_asset.textures.photo_albedo import LARGEST_SIZE
 from lambent_asset.textures.surface import AtlasSurface, learned_normals, settled, upright
 from lambent_asset.textures.textures import TextureSet, tangent_normals
 from lambent_asset.transport.transport_bounce import Reflectors
+from lambent_asset.transport.transport_rays import BakedSurface
 
 LARGEST, SMALLEST = 3.0, 1.0 / 20.0
 """Diagonals of the trained object that a given mesh may have."""
@@ -53,6 +54,13 @@ class GivenSurface:
     """The texture [size, size, 3], linear Rec. 709, of a size of its own."""
     num_turned: int
     """Closed pieces that were inside out, and are not any more."""
+
+    @property
+    def covered(self) -> BakedSurface:
+        """Return the covered texels as a bake of transport takes them."""
+        surface = self.surface
+        normals = surface.texel_normals.astype(np.float32)
+        return BakedSurface(surface.size, surface.texel_index, surface.positions, normals)
 
     def textures(self, occlusion: NDArray[np.float32]) -> TextureSet:
         """Return the textures, given the occlusion of covered texels (0..1)."""
@@ -115,21 +123,21 @@ def given_surface(
     charts, kept = charts_of(given, config.transport_size)
     size = size_within(charts, config.transport_size)
     vertices, uv = given.vertices[charts.source], charts.uv
-    found = rasterise_uv(uv, charts.faces, size)
-    index = np.flatnonzero(found.covered).astype(np.int32)
-    plain = unit(interpolate(found, charts.faces, normals[charts.source])).astype(np.float32)
-    positions = interpolate(found, charts.faces, vertices)
-    part = given.part_of_face[found.face[found.covered]]
-    look = _Lookup(given, normals, charts, found, size)
+    fragments = rasterise_uv(uv, charts.faces, size)
+    index = np.flatnonzero(fragments.covered).astype(np.int32)
+    plain = unit(interpolate(fragments, charts.faces, normals[charts.source])).astype(np.float32)
+    positions = interpolate(fragments, charts.faces, vertices)
+    part = given.part_of_face[fragments.face[fragments.covered]]
+    look = _Lookup(given, normals, charts, fragments, size)
 
     side = max(high - low for low, high in zip(*box, strict=True))
     cell = side / data_resolution(model, *box, pixel_size=pixel_size, limit=config.mesh_resolution)
     reflectors, shading = _from_maps(given, look, part, plain)
     bare = np.array([maps is None for maps in given.maps])[part]
     if bare.any():
-        outwards = unit(interpolate(found, charts.faces, geometric[charts.source])).astype(np.float32)
+        outwards = unit(interpolate(fragments, charts.faces, geometric[charts.source])).astype(np.float32)
         _fill_from_model(model, reflectors, shading, bare, positions, outwards, cell)
-    facing = unit(_face_normals(vertices, charts.faces)[found.face[found.covered]]).astype(np.float32)
+    facing = unit(_face_normals(vertices, charts.faces)[fragments.face[fragments.covered]]).astype(np.float32)
     surface = AtlasSurface(
         vertices=vertices,
         faces=charts.faces,
@@ -161,11 +169,16 @@ class _Lookup:
     """Where every covered texel lies in the file's own texture coordinates."""
 
     def __init__(
-        self, given: GivenMesh, normals: NDArray[np.float32], charts: Unwrapped, found: Fragments, size: int
+        self,
+        given: GivenMesh,
+        normals: NDArray[np.float32],
+        charts: Unwrapped,
+        fragments: Fragments,
+        size: int,
     ) -> None:
-        self.uv = interpolate(found, charts.faces, given.uv[charts.source])
+        self.uv = interpolate(fragments, charts.faces, given.uv[charts.source])
         frame = tangents(given.vertices, given.faces, given.uv, normals)[charts.source]
-        self._frame = interpolate(found, charts.faces, frame)
+        self._frame = interpolate(fragments, charts.faces, frame)
         self.size = size
 
     def world(
@@ -216,11 +229,11 @@ def _fill_from_model(
     rows = np.flatnonzero(bare)
     for start in range(0, len(rows), CHUNK_POINTS):
         some = rows[start : start + CHUNK_POINTS]
-        found = model.materials(torch.from_numpy(places[start : start + CHUNK_POINTS]).to(device))
-        reflectors.albedo[some] = found.albedo.cpu().numpy()
-        roughness = perceptual_roughness_from_alpha(found.alpha).cpu().numpy()
+        learned = model.materials(torch.from_numpy(places[start : start + CHUNK_POINTS]).to(device))
+        reflectors.albedo[some] = learned.albedo.cpu().numpy()
+        roughness = perceptual_roughness_from_alpha(learned.alpha).cpu().numpy()
         reflectors.perceptual_roughness[some] = roughness.reshape(-1, 1)
-        reflectors.metalness[some] = found.metalness.cpu().numpy().reshape(-1, 1)
+        reflectors.metalness[some] = learned.metalness.cpu().numpy().reshape(-1, 1)
 
 
 def _face_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float64]:

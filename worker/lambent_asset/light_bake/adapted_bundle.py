@@ -74,9 +74,7 @@ def write_adapted(
     added = {name: tensor for name, tensor in weights.tensors.items() if name not in old}
     grids = {f"{graphs.adapted_prefix(light.name)}.feature_grid": cache.feature_grid.layout}
     manifests.add_weights(manifest, WeightFile(tensors=added), grids)
-    paths = sorted({*(file.path for file in manifest.files), path})
-    del manifest.files[:]
-    manifests.write_manifest(folder, manifest, paths)
+    manifests.write_manifest(folder, manifest)
     return folder
 
 

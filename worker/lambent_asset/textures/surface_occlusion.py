@@ -1,18 +1,16 @@
 """Ambient occlusion of a surface from rays."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
-from lambent_relight.bundle.graphs import SecondaryHits
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from lambent_asset.mesh.atlas import any_perpendicular, unit
 from lambent_asset.textures.surface import AtlasSurface
+from lambent_asset.transport.transport_rays import SecondaryRays
 
 Rows = NDArray[np.float32]
-Secondary = Callable[[Rows, Rows], SecondaryHits]
 NEIGHBOURS = 8
 """Measured texels that one between them takes its value from."""
 TURN = 6.0
@@ -22,7 +20,7 @@ CHUNK_POINTS = 1024
 
 def bake_occlusion(
     surface: AtlasSurface,
-    secondary: Secondary,
+    secondary: SecondaryRays,
     *,
     origin_offset: float,
     num_points: int,
@@ -31,8 +29,8 @@ def bake_occlusion(
     """Return for each covered texel the share of cosine-weighted directions in which it sees the open, 0..1.
 
     It is measured at `num_points` texels spread over the atlas and taken between them from neighbours in
-    space that face the same way. `secondary` says what rays meet that
-    begin `origin_offset` (scene units) above the surface.
+    space that face the same way. `secondary` says what rays meet that begin `origin_offset` (scene units)
+    above the surface.
     """
     count = len(surface.texel_index)
     chosen = _spread_out(surface, num_points)
@@ -43,8 +41,8 @@ def bake_occlusion(
         part = slice(start, start + CHUNK_POINTS)
         directions = cosine_directions(normals[part], num_rays, first=start)
         rays = np.repeat(origins[part], num_rays, axis=0)
-        found = secondary(rays, directions.reshape(-1, 3)).opacity
-        measured[part] = 1.0 - found.reshape(-1, num_rays).mean(axis=1).clip(0.0, 1.0)
+        hidden, _ = secondary(rays, directions.reshape(-1, 3))
+        measured[part] = 1.0 - hidden.reshape(-1, num_rays).mean(axis=1).clip(0.0, 1.0)
     if len(chosen) == count:
         return measured
     return _between(surface, chosen, measured)

@@ -11,10 +11,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 from lambent_compute.threads import available_threads, for_each
 from lambent_core.errors import WorkerError
-from lambent_relight.baked.transport import Transport, coarse_blocks
+from lambent_proto.v1 import bundle_pb2
+from lambent_relight.baked.transport import Transport, transport_files
 from lambent_relight.baked.transport_kernels import basis_rows, mirrored_sums
 from lambent_relight.environment import harmonics
 from numpy import ndarray
@@ -22,6 +23,7 @@ from numpy import ndarray
 from lambent_asset.transport.transport_bounce import Reflectors, indirect_transfer
 from lambent_asset.transport.transport_rays import (
     CELL,
+    BakedSurface,
     Occlusion,
     RayConfig,
     SecondaryRays,
@@ -56,16 +58,6 @@ class TransportConfig:
             )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BakedSurface:
-    """The covered texels of an atlas, in the order of `texel_index`."""
-
-    size: int
-    texel_index: Int[ndarray, " texels"]
-    positions: Float[ndarray, "texels 3"]
-    normals: Float[ndarray, "texels 3"]
-
-
 def bake_transport(
     surface: BakedSurface,
     reflectors: Reflectors,
@@ -83,12 +75,8 @@ def bake_transport(
     resumes. `advance` is called with the completed share of the rays; `num_threads` may call `secondary`.
     """
     bands, visibility_bands, with_bits = TIERS[config.tier]
-    coarse, parent = coarse_blocks(surface.size, surface.texel_index)
     seen = cast(
-        surface.positions,
-        surface.normals,
-        _sets(surface),
-        coarse,
+        surface,
         secondary,
         origin_offset=origin_offset,
         config=config.rays,
@@ -107,18 +95,16 @@ def bake_transport(
     visibility = -hidden_sky
     visibility[:, 0] += np.sqrt(4.0 * np.pi)
     indirect = indirect_transfer(
-        surface.positions,
-        surface.normals,
+        surface,
         reflectors,
         seen,
         directions,
-        coarse,
-        parent,
         direct[:, : INDIRECT_BANDS**2],
         visibility,
         origin_offset=origin_offset,
         num_bounces=config.num_bounces,
     )
+    coarse, _ = surface.blocks
     around = smoothing(surface.positions[coarse], surface.normals[coarse])
     indirect = np.stack([(around @ indirect[:, :, channel].T).T for channel in range(3)], axis=1)
     transport = Transport(
@@ -137,11 +123,11 @@ def bake_transport(
     return transport, figures
 
 
-def _sets(surface: BakedSurface) -> Int[ndarray, " texels"]:
-    """Return the set of every texel: a 4 x 4 pattern over the atlas, with distant sets next to each other."""
-    row, column = np.divmod(surface.texel_index.astype(np.int64), surface.size)
-    pattern = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]])
-    return pattern[row % 4, column % 4]
+def write_transport(transport: Transport, manifest: bundle_pb2.BundleManifest, folder: Path) -> None:
+    """Write `transport` into `folder`/transport and describe it in `manifest`."""
+    (folder / "transport").mkdir(exist_ok=True)
+    for path, data in transport_files(transport, manifest).items():
+        (folder / path).write_bytes(data)
 
 
 def _blocked(
@@ -182,10 +168,6 @@ def _shadow_bits(seen: Occlusion) -> UInt8[ndarray, "texels _"]:
 
 def _material(surface: BakedSurface, reflectors: Reflectors) -> Float[ndarray, "8 texels"]:
     """Return the materials of texels as planes."""
-    columns = (
-        reflectors.albedo,
-        reflectors.perceptual_roughness,
-        reflectors.metalness,
-        surface.normals,
-    )
+    gloss = (reflectors.perceptual_roughness, reflectors.metalness)
+    columns = (reflectors.albedo, *gloss, surface.normals)
     return np.ascontiguousarray(np.concatenate(columns, axis=1).T, np.float32)

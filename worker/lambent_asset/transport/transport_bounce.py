@@ -2,7 +2,7 @@
 
 A blocked ray ends at a hit point, whose outgoing radiance is linear in the light: its diffuse part by the
 irradiance transfer of the nearest texel, its specular part by the environment seen in the mirror direction,
-smoothed by the lobe and weakened by what stands there; the rest of the lobe sees the mean of what surrounds
+smoothed by the lobe and weakened by what hides it; the rest of the lobe sees the mean of what surrounds
 the hit point. Gathering this over all rays, again and again, gives every further bounce: direct -> gather ->
 iterate. Source: docs/method.md (relighting); Sloan et al. 2002 (interreflections).
 """
@@ -10,14 +10,13 @@ iterate. Source: docs/method.md (relighting); Sloan et al. 2002 (interreflection
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from lambent_relight.baked.transport_kernels import NearestPoint
 from lambent_relight.brdf import DIELECTRIC_F0
 from numpy import ndarray
 
-from lambent_asset.transport.transport_rays import CELL, Occlusion
-from lambent_asset.transport.transport_specular import mirrored_light
+from lambent_asset.transport.transport_rays import CELL, BakedSurface, Occlusion
+from lambent_asset.transport.transport_specular import RayHits, mirrored_light
 
 _LEAST_BLOCKED = 0.05
 """Share of the hemisphere that is taken to surround a hit point at least."""
@@ -43,50 +42,27 @@ class Reflectors:
         return self.metalness * self.albedo + (1.0 - self.metalness) * DIELECTRIC_F0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Hits:
-    """Blocked rays that were followed, by the coarse texel they left from."""
-
-    first: Int[ndarray, " coarse_and_one"]
-    """The hits of coarse texel r are those from `first[r]` to `first[r + 1]`."""
-    texel: Int[ndarray, " hits"]
-    """Texel nearest to its end."""
-    weight: Float[ndarray, " hits"]
-    """Opacity times cosine times solid angle."""
-    direction: Float[ndarray, "hits 3"]
-
-    def gathering(self, weight: Float[ndarray, " hits"], num_texels: int) -> scipy.sparse.csr_array:
-        """Return the matrix that sums values of the texels that are hit, by `weight`."""
-        shape = (len(self.first) - 1, num_texels)
-        return scipy.sparse.csr_array((weight.astype(np.float32), self.texel, self.first), shape=shape)
-
-
 def indirect_transfer(
-    positions: Float[ndarray, "texels 3"],
-    normals: Float[ndarray, "texels 3"],
+    surface: BakedSurface,
     reflectors: Reflectors,
     seen: Occlusion,
     directions: Float[ndarray, "sets directions 3"],
-    coarse: Int[ndarray, " coarse"],
-    parent: Int[ndarray, " texels"],
     direct: Float[ndarray, "texels coefficients"],
     visibility: Float[ndarray, "texels _"],
     *,
     origin_offset: float,
     num_bounces: int,
 ) -> Float[ndarray, "coefficients coarse 3"]:
-    """Return the indirect transfer of the texels `coarse`; texel t lies in the block `parent[t]`.
+    """Return the indirect transfer of the texels that stand for blocks.
 
     `direct` and `visibility` are per texel, coefficients last.
     """
-    hits = _hits(positions, normals, seen, directions, coarse, origin_offset)
-    gather = hits.gathering(hits.weight, len(positions))
+    coarse, parent = surface.blocks
+    hits, count = _hits(surface, seen, directions, origin_offset), len(surface.positions)
+    gather = hits.gathering(hits.weight, count)
     mirrored, rest = mirrored_light(
-        hits.first,
-        hits.texel,
-        hits.weight,
-        hits.direction,
-        normals,
+        hits,
+        surface.normals,
         reflectors.perceptual_roughness[:, 0],
         reflectors.base_reflectance(),
         visibility,
@@ -95,7 +71,7 @@ def indirect_transfer(
     # The part of a lobe that sees no sky sees the mean of what surrounds the hit point.
     blocked = 1.0 - direct[hits.texel, 0] / (0.5 * np.sqrt(np.pi))
     rest /= (np.pi * np.maximum(blocked, _LEAST_BLOCKED))[:, None]
-    surrounded = [hits.gathering(rest[:, channel], len(positions)) for channel in range(3)]
+    surrounded = [hits.gathering(rest[:, channel], count) for channel in range(3)]
     diffuse = (reflectors.diffuse() / np.pi).astype(np.float32)
     result = np.zeros((direct.shape[1], len(coarse), 3), np.float32)
     for _ in range(num_bounces):
@@ -111,14 +87,13 @@ def indirect_transfer(
 
 
 def _hits(
-    positions: Float[ndarray, "texels 3"],
-    normals: Float[ndarray, "texels 3"],
+    surface: BakedSurface,
     seen: Occlusion,
     directions: Float[ndarray, "sets directions 3"],
-    coarse: Int[ndarray, " coarse"],
     origin_offset: float,
-) -> _Hits:
-    """Return the rays of the coarse texels that end at a surface, and where."""
+) -> RayHits:
+    """Return the rays of the texels that stand for blocks that end at a surface, and where."""
+    coarse, positions, normals = surface.blocks[0], surface.positions, surface.normals
     receiver, column = np.nonzero(seen.distance > 0.0)
     texel = coarse[receiver]
     way = directions[seen.set_of_texel[texel], column]
@@ -132,4 +107,4 @@ def _hits(
     nearest = NearestPoint(positions)(ends)
     weight = seen.opacity[texel, column] / 255.0 * np.maximum(cosine, 0.0) * width
     first = np.concatenate([[0], np.cumsum(stored)]).astype(np.int32)
-    return _Hits(first, nearest, weight.astype(np.float32), way)
+    return RayHits(first, nearest, weight.astype(np.float32), way)

@@ -41,12 +41,12 @@ def judge_qualities(
     figures: dict[str, float] = {}
     small = [_reduced(camera) for camera in cameras]
     for name, light in judging_lights(trained).items():
-        found: dict[str, list[tuple[float, float]]] = {"baked": [], "preview": []}
+        compared: dict[str, list[tuple[float, float]]] = {"baked": [], "preview": []}
         for camera in small:
             refined = renderer.render(camera, light, spp=num_samples, seed=seed)
-            for quality, values in found.items():
+            for quality, values in compared.items():
                 values.append(difference(shipped.render(camera, light, quality=quality), refined))
-        for quality, values in found.items():
+        for quality, values in compared.items():
             error, worst = np.mean([value[0] for value in values]), max(value[1] for value in values)
             figures[f"{quality}_psnr_refined_{name}"] = float(-10.0 * np.log10(error + 1e-12))
             figures[f"{quality}_worst_refined_{name}"] = worst

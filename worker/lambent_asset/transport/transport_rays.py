@@ -15,7 +15,9 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from lambent_compute.threads import in_order
-from lambent_relight.baked.transport import NUM_SHADOW_DIRECTIONS, shadow_directions
+from lambent_relight.baked.traced_surface import MESH_OFFSET
+from lambent_relight.baked.transport import NUM_SHADOW_DIRECTIONS, coarse_blocks, shadow_directions
+from lambent_relight.tracing.mesh_rays import MeshRays
 from numpy import ndarray
 
 NUM_SETS = 16
@@ -31,6 +33,45 @@ class SecondaryRays(Protocol):
         self, origin: Float[ndarray, "rays 3"], direction: Float[ndarray, "rays 3"]
     ) -> tuple[Float[ndarray, "rays 1"], Float[ndarray, "rays 1"]]:
         """Return the hits of rays from offset surface points."""
+
+
+class TriangleRays:
+    """Opacity, 0 or 1, and distance along rays against a mesh, as bakes ask for them."""
+
+    def __init__(self, vertices: Float[ndarray, "vertices 3"], faces: Int[ndarray, "faces 3"]) -> None:
+        self._rays = MeshRays(vertices, faces)
+        self.offset = MESH_OFFSET * self._rays.size
+        """Distance above the surface at which rays start, scene units."""
+
+    def __call__(
+        self, origin: Float[ndarray, "rays 3"], direction: Float[ndarray, "rays 3"]
+    ) -> tuple[Float[ndarray, "rays 1"], Float[ndarray, "rays 1"]]:
+        """Return opacity and distance [scene units; 0 where nothing is met] of rays with unit directions."""
+        hits = self._rays(origin, direction)
+        distance = np.where(hits.blocked, hits.distance, np.float32(0.0))
+        return hits.blocked[:, None].astype(np.float32), distance[:, None].astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BakedSurface:
+    """The covered texels of an atlas, in the order of `texel_index`."""
+
+    size: int
+    texel_index: Int[ndarray, " texels"]
+    positions: Float[ndarray, "texels 3"]
+    normals: Float[ndarray, "texels 3"]
+
+    @property
+    def blocks(self) -> tuple[Int[ndarray, " coarse"], Int[ndarray, " texels"]]:
+        """Return the texels that stand for blocks, which have indirect light, and the block of each texel."""
+        return coarse_blocks(self.size, self.texel_index)
+
+    @property
+    def sets(self) -> Int[ndarray, " texels"]:
+        """Return each texel's set of directions: a 4 x 4 pattern, with distant sets next to each other."""
+        row, column = np.divmod(self.texel_index.astype(np.int64), self.size)
+        pattern = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]])
+        return pattern[row % 4, column % 4]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -86,10 +127,7 @@ def direction_sets(config: RayConfig) -> Float[ndarray, "sets directions 3"]:
 
 
 def cast(
-    positions: Float[ndarray, "texels 3"],
-    normals: Float[ndarray, "texels 3"],
-    set_of_texel: Int[ndarray, " texels"],
-    coarse: Int[ndarray, " coarse"],
+    surface: BakedSurface,
     secondary: SecondaryRays,
     *,
     origin_offset: float,
@@ -98,28 +136,30 @@ def cast(
     advance: Callable[[float], None] = lambda share: None,
     num_threads: int = 1,
 ) -> Occlusion:
-    """Return the hits of all texels' rays; `coarse` are the texels whose distances are kept.
+    """Return the hits of all texels' rays, and the distances of those of texels that stand for blocks.
 
     Finished chunks are in `store` and are not traced again; the folder must belong to this surface and
     model. `advance` is called with the finished share and may raise to stop. Chunks are traced in
     `num_threads` threads, which call `secondary` at once.
     """
-    sets = direction_sets(config)
-    keeps_distance = np.zeros(len(positions), bool)
+    sets, set_of_texel = direction_sets(config), surface.sets
+    coarse, count = surface.blocks[0], len(surface.positions)
+    keeps_distance = np.zeros(count, bool)
     keeps_distance[coarse] = True
     store.mkdir(parents=True, exist_ok=True)
     opacities, distances, num_rays = [], [], 0
-    starts = range(0, len(positions), config.texels_per_chunk)
+    starts = range(0, count, config.texels_per_chunk)
 
     def stored(start: int) -> Path:
         part = slice(start, start + config.texels_per_chunk)
         path = store / f"{start:08d}.npz"
         if not path.exists():
-            found = _cast_chunk(
-                positions[part], normals[part], sets[set_of_texel[part]], secondary, origin_offset, config
+            origins = surface.positions[part] + np.float32(origin_offset) * surface.normals[part]
+            opacity, distance, traced = _cast_chunk(
+                origins, surface.normals[part], sets[set_of_texel[part]], secondary, config
             )
             partial = path.with_name(f".partial-{path.name}")
-            np.savez(partial, opacity=found[0], distance=found[1][keeps_distance[part]], num_rays=found[2])
+            np.savez(partial, opacity=opacity, distance=distance[keeps_distance[part]], num_rays=traced)
             partial.rename(path)
         return path
 
@@ -129,25 +169,23 @@ def cast(
                 opacities.append(chunk["opacity"])
                 distances.append(chunk["distance"])
                 num_rays += int(chunk["num_rays"])
-            advance(min(1.0, (start + config.texels_per_chunk) / len(positions)))
+            advance(min(1.0, (start + config.texels_per_chunk) / count))
     # They were kept in the order of the texels, in which a block that begins in its lower row comes late.
-    found = np.concatenate(distances)[np.argsort(np.argsort(coarse))]
-    return Occlusion(np.concatenate(opacities), found, set_of_texel, num_rays)
+    distance = np.concatenate(distances)[np.argsort(np.argsort(coarse))]
+    return Occlusion(np.concatenate(opacities), distance, set_of_texel, num_rays)
 
 
 def _cast_chunk(
-    positions: Float[ndarray, "texels 3"],
+    origins: Float[ndarray, "texels 3"],
     normals: Float[ndarray, "texels 3"],
     directions: Float[ndarray, "texels directions 3"],
     secondary: SecondaryRays,
-    origin_offset: float,
     config: RayConfig,
 ) -> tuple[UInt8[ndarray, "texels directions"], Float[ndarray, "texels directions"], int]:
     cosine = np.einsum("tdi,ti->td", directions, normals)
     above = cosine > 0.0
     opacity = np.zeros(above.shape, np.uint8)
     distance = np.full(above.shape, NOT_STORED, np.float16)
-    origins = positions + np.float32(origin_offset) * normals
     num_rays = 0
 
     def ask(wanted: Bool[ndarray, "texels directions"]) -> None:

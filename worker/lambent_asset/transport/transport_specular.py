@@ -4,7 +4,10 @@ The same terms as `lambent_relight.baked`: split sum, lobe of the harmonics, sky
 Source: docs/method.md (relighting).
 """
 
+from dataclasses import dataclass
+
 import numpy as np
+import scipy.sparse
 from jaxtyping import Float, Int
 from lambent_compute.compiling import compiled, inlined
 from lambent_compute.threads import available_threads, for_each
@@ -16,35 +19,56 @@ from numpy import ndarray
 _RECEIVERS_AT_ONCE = 512
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RayHits:
+    """Blocked rays that were followed, by the coarse texel (the receiver) they left from."""
+
+    first: Int[ndarray, " receivers_and_one"]
+    """The hits of receiver r are those from `first[r]` to `first[r + 1]`."""
+    texel: Int[ndarray, " hits"]
+    """Texel nearest to its end."""
+    weight: Float[ndarray, " hits"]
+    """Opacity times cosine times solid angle."""
+    direction: Float[ndarray, "hits 3"]
+
+    def gathering(self, weight: Float[ndarray, " hits"], num_texels: int) -> scipy.sparse.csr_array:
+        """Return the matrix that sums values of the texels that are hit, by `weight`."""
+        shape = (len(self.first) - 1, num_texels)
+        return scipy.sparse.csr_array((weight.astype(np.float32), self.texel, self.first), shape=shape)
+
+
 def mirrored_light(
-    first_hit: Int[ndarray, " receivers_and_one"],
-    texel: Int[ndarray, " hits"],
-    weight: Float[ndarray, " hits"],
-    direction: Float[ndarray, "hits 3"],
+    hits: RayHits,
     normals: Float[ndarray, "texels 3"],
-    perceptual_roughness: Float[ndarray, " texels"],
+    roughness: Float[ndarray, " texels"],
     base_reflectance: Float[ndarray, "texels 3"],
     visibility: Float[ndarray, "texels coefficients"],
     num_coefficients: int,
 ) -> tuple[Float[ndarray, "receivers kept 3"], Float[ndarray, "hits 3"]]:
     """Return the environment mirrored towards each receiver, as `num_coefficients` harmonics, and the rest.
 
-    Hits of receiver r are those from `first_hit[r]` to `first_hit[r + 1]`; `direction` is the ray's. The rest
-    is a hit's weight times its reflectance times the share of the lobe that sees no sky.
+    The rest is a hit's weight times its reflectance times the share of the lobe that sees no sky.
     """
-    num_receivers = len(first_hit) - 1
+    num_receivers = len(hits.first) - 1
     bands = round(max(visibility.shape[1], num_coefficients) ** 0.5)
     mirrored = np.zeros((num_receivers, num_coefficients, 3), np.float32)
-    rest = np.empty((len(texel), 3), np.float32)
+    rest = np.empty((len(hits.texel), 3), np.float32)
     arrays = [
         np.ascontiguousarray(array, np.float32)
-        for array in (weight, direction, normals, perceptual_roughness, base_reflectance, visibility)
+        for array in (
+            hits.weight,
+            hits.direction,
+            normals,
+            perceptual_roughness,
+            base_reflectance,
+            visibility,
+        )
     ]
     tables = (table(), ggx_bands(bands), recurrence(bands))
 
     def some(start: int) -> None:
         end = min(start + _RECEIVERS_AT_ONCE, num_receivers)
-        _mirror(start, end, first_hit, texel, *arrays, *tables, mirrored, rest)
+        _mirror(start, end, hits.first, hits.texel, *arrays, *tables, mirrored, rest)
 
     for_each(some, range(0, num_receivers, _RECEIVERS_AT_ONCE), available_threads())
     return mirrored, rest

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from lambent_core.errors import UsageError
@@ -11,51 +11,66 @@ from lambent_run.commands import shared
 from lambent_run.commands.shared import Json, reporting_errors
 from lambent_run.commands.training import parse_settings
 
+if TYPE_CHECKING:
+    from lambent_run.benchmark.benchmark import Outcome
+    from lambent_run.benchmark.suite import Setting
+
+
+Scenes = Annotated[list[str] | None, typer.Option(help="Names of scenes; all by default.")]
+Ablations = Annotated[
+    list[str] | None,
+    typer.Option(help="Names with commas, paper, all, or NAME:KEY=VALUE;KEY=VALUE; full is always in."),
+]
+Lights = Annotated[str, typer.Option(help="single, multi, both, or auto: what the protocol asks for.")]
+Environments = Annotated[
+    Path | None, typer.Option(help="Folder of maps named like the test lights; else the suite's envmaps.")
+]
+Devices = Annotated[str, typer.Option(help="cpu, cuda, or several with commas for several jobs.")]
+Weights = Annotated[list[Path] | None, typer.Option(help="Weights of LPIPS; repeatable.")]
+KeepPredictions = Annotated[
+    bool, typer.Option(help="Keep the float maps; a large suite fills a disk with them.")
+]
+SETTINGS: "dict[str, tuple[Setting, ...] | None]" = {
+    "auto": None,
+    "single": ("single",),
+    "multi": ("multi",),
+    "both": ("single", "multi"),
+}
+"""Numbers of lights to train in, by `--lights`; None: those of the protocol."""
+
 
 @reporting_errors
 def benchmark(
     suite_dir: Annotated[Path, typer.Argument(help="Folder of scenes, or one scene.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for runs, reports and tables.")],
-    scenes: Annotated[list[str] | None, typer.Option(help="Names of scenes; all by default.")] = None,
+    scenes: Scenes = None,
     preset: Annotated[str, typer.Option(help="Preset of every run.")] = "fast",
     seeds: Annotated[str, typer.Option(help="Seeds, with commas.")] = "0",
-    ablations: Annotated[
-        list[str] | None,
-        typer.Option(help="Names with commas, paper, all, or NAME:KEY=VALUE;KEY=VALUE; full is always in."),
-    ] = None,
-    lights: Annotated[
-        str, typer.Option(help="single, multi, both, or auto: what the protocol asks for.")
-    ] = "auto",
-    environments: Annotated[
-        Path | None, typer.Option(help="Folder of maps named like the test lights; else the suite's envmaps.")
-    ] = None,
+    ablations: Ablations = None,
+    lights: Lights = "auto",
+    environments: Environments = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes at a time.")] = 1,
-    device: Annotated[str, typer.Option(help="cpu, cuda, or several with commas for several jobs.")] = "cpu",
+    device: Devices = "cpu",
     views: shared.Views = 0,
     repeats: shared.Repeats = 4,
     directions: shared.Directions = 64,
     antialias: shared.Antialias = 2,
     max_side: shared.MaxSide = 0,
     shadows: shared.Shadows = "fast",
-    lpips_weights: Annotated[list[Path] | None, typer.Option(help="Weights of LPIPS; repeatable.")] = None,
-    keep_predictions: Annotated[
-        bool, typer.Option(help="Keep the float maps; a large suite fills a disk with them.")
-    ] = True,
+    lpips_weights: Weights = None,
+    keep_predictions: KeepPredictions = True,
     settings: shared.Settings = None,
     as_json: Json = False,
 ) -> None:
-    """Train and evaluate scenes x seeds x ablations and print the paper's tables; run again to go on."""
+    """Train and evaluate scenes x seeds x ablations and print the paper's tables; run again to continue."""
     from lambent_core.startup import prepare
 
     prepare()
     from lambent_run.benchmark.benchmark import run_benchmark
     from lambent_run.benchmark.plan import parse_variants, plan
-    from lambent_run.benchmark.suite import Setting, find_environments, find_scenes
+    from lambent_run.benchmark.suite import find_environments, find_scenes
     from lambent_run.report.request import EvaluationRequest, as_shadows
 
-    chosen = {"auto": None, "single": ("single",), "multi": ("multi",), "both": ("single", "multi")}
-    if lights not in chosen:
-        raise UsageError("benchmark.lights_unknown", f'--lights "{lights}" is none of {", ".join(chosen)}')
     names = tuple(name for item in scenes or () for name in item.split(",") if name)
     maps = find_environments(suite_dir, environments)
     request = EvaluationRequest(
@@ -72,12 +87,13 @@ def benchmark(
         find_scenes(suite_dir, names),
         parse_variants(ablations or ()),
         parse_seeds(seeds),
-        cast("tuple[Setting, ...] | None", chosen[lights]),
+        parse_lights(lights),
         preset=preset,
         overrides=parse_settings(settings or []),
         evaluation=request,
         keep_predictions=keep_predictions,
     )
+
     outcome = run_benchmark(
         cells,
         out=out,
@@ -87,6 +103,11 @@ def benchmark(
         devices=tuple(device.split(",")),
         tell=lambda line: typer.echo(json.dumps({"event": line}) if as_json else line, err=not as_json),
     )
+    _tell(outcome, out, as_json=as_json)
+
+
+def _tell(outcome: "Outcome", out: Path, *, as_json: bool) -> None:
+    """Print the tables, and end with an error where a process has failed."""
     if as_json:
         typer.echo(json.dumps({"tables": str(out / "table.json"), "failed": list(outcome.failed)}))
     else:
@@ -94,6 +115,13 @@ def benchmark(
         typer.echo(f"tables: {out / 'table.md'}, table.csv, table.json", err=True)
     if outcome.failed:
         raise typer.Exit(1)
+
+
+def parse_lights(name: str) -> "tuple[Setting, ...] | None":
+    """Return the numbers of lights to train in; raises `UsageError` for an unknown name."""
+    if name not in SETTINGS:
+        raise UsageError("benchmark.lights_unknown", f'--lights "{name}" is none of {", ".join(SETTINGS)}')
+    return SETTINGS[name]
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:

@@ -1,9 +1,10 @@
 """The commands that need no server: train, evaluate, export. Torch is imported only when they run."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from lambent_core.errors import UsageError
@@ -12,78 +13,86 @@ from lambent_core.measured import measured
 from lambent_run.commands import shared
 from lambent_run.commands.shared import Device, Json, Layout, reporting_errors, stopping_on_signals
 
+if TYPE_CHECKING:
+    from lambent_run.run.spec import RunSpec
+
+
+Scene = Annotated[Path, typer.Argument(help="Folder of a capture, or of photographs.")]
+RunFolder = Annotated[Path, typer.Option("--out", "-o", help="Run folder; made if it does not exist.")]
+Preset = Annotated[
+    str, typer.Option(help="tiny, quick, fast, long, standard, paper_*, or as in paper_tensoir:lego.")
+]
+Lights = Annotated[str, typer.Option(help="Training light, or several with commas.")]
+Rotated = Annotated[
+    bool, typer.Option("--rotated", help="The lights are one, turned by the angles in their names.")
+]
+KnownLights = Annotated[
+    list[str] | None,
+    typer.Option(metavar="[LIGHT=]FILE", help="A light's environment, .hdr or .exr; repeatable."),
+]
+LightFixedTo = Annotated[
+    str, typer.Option(help="What the light stood still with: auto, scene, camera or room (a turntable).")
+]
+GreyCard = Annotated[
+    str,
+    typer.Option(
+        metavar="PHOTOGRAPH:X,Y,W,H[:R]",
+        help="Where a photograph shows a grey card, pixels, and its reflectance (0.18).",
+    ),
+]
+NoMasks = Annotated[
+    bool, typer.Option("--no-masks", help="Without masks, take everything in view for the object.")
+]
+Corrections = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Corrections of estimated masks; by default those of the run folder."),
+]
+Ranks = Annotated[
+    int, typer.Option(min=1, help="Processes that divide the training, with --device cuda a GPU each.")
+]
+Resume = Annotated[bool, typer.Option(help="Take all settings from the run folder.")]
+DryRun = Annotated[
+    bool, typer.Option("--dry-run", help="Only print steps, rays and the memory they would take.")
+]
+
 
 @reporting_errors
 def train(
-    scene_dir: Annotated[Path, typer.Argument(help="Folder of a capture, or of photographs.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Run folder; made if it does not exist.")],
-    preset: Annotated[
-        str, typer.Option(help="tiny, quick, fast, long, standard, paper_*, or as in paper_tensoir:lego.")
-    ] = "fast",
-    light: Annotated[str, typer.Option(help="Training light, or several with commas.")] = "",
-    rotated: Annotated[
-        bool, typer.Option("--rotated", help="The lights are one, turned by the angles in their names.")
-    ] = False,
-    known_light: Annotated[
-        list[str] | None,
-        typer.Option(metavar="[LIGHT=]FILE", help="A light's environment, .hdr or .exr; repeatable."),
-    ] = None,
-    light_fixed_to: Annotated[
-        str,
-        typer.Option(help="What the light stood still with: auto, scene, camera or room (a turntable)."),
-    ] = "auto",
-    grey_card: Annotated[
-        str,
-        typer.Option(
-            metavar="PHOTOGRAPH:X,Y,W,H[:R]",
-            help="Where a photograph shows a grey card, pixels, and its reflectance (0.18).",
-        ),
-    ] = "",
+    scene_dir: Scene,
+    out: RunFolder,
+    preset: Preset = "fast",
+    light: Lights = "",
+    rotated: Rotated = False,
+    known_light: KnownLights = None,
+    light_fixed_to: LightFixedTo = "auto",
+    grey_card: GreyCard = "",
     layout: Layout = "",
     masks: shared.Masks = None,
-    no_masks: Annotated[
-        bool, typer.Option("--no-masks", help="Without masks, take everything in view for the object.")
-    ] = False,
-    corrections: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Corrections of estimated masks; by default those of the run folder."
-        ),
-    ] = None,
+    no_masks: NoMasks = False,
+    corrections: Corrections = None,
     seed: shared.Seed = 0,
     device: Device = "",
     threads: shared.Threads = 0,
-    ranks: Annotated[
-        int,
-        typer.Option(min=1, help="Processes that divide the training, with --device cuda a GPU each."),
-    ] = 1,
+    ranks: Ranks = 1,
     settings: shared.Settings = None,
-    resume: Annotated[bool, typer.Option(help="Take all settings from the run folder.")] = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Only print steps, rays and the memory they would take.")
-    ] = False,
+    resume: Resume = False,
+    dry_run: DryRun = False,
     as_json: Json = False,
 ) -> None:
-    """Train on a capture and write a relightable bundle; run again to go on after a stop."""
+    """Train on a capture and write a relightable bundle; run again to continue after a stop."""
     from lambent_core.startup import prepare
 
     prepare(threads)
-    from lambent_run.run.settings import config_for
-    from lambent_run.run.spec import RunSpec, read_run, with_kept_corrections
+    from lambent_run.run.spec import RunSpec, with_kept_corrections
 
     overrides = {"model.environment.lights": "rotated"} if rotated else {}
     overrides |= parse_settings(settings or [])
     lights = tuple(name for name in light.split(",") if name)
     if dry_run:
-        from lambent_run.run.memory_plan import as_text, plan
-
-        found = plan(config_for(preset, overrides), num_lights=max(1, len(lights)), device=device)
-        typer.echo(json.dumps(found) if as_json else as_text(found))
+        _tell_plan(preset, overrides, num_lights=max(1, len(lights)), device=device, as_json=as_json)
         return
     if resume:
-        spec = replace(read_run(out)[0], scene=scene_dir)
-        if spec.config is None:  # photographs that were only prepared so far
-            spec = replace(spec, config=config_for(preset, overrides), preset=preset)
+        spec = _resumed(out, scene_dir, preset, overrides)
     else:
         spec = RunSpec.from_options(
             scene_dir,
@@ -101,6 +110,30 @@ def train(
         )
         if corrections is None:
             spec = with_kept_corrections(spec, out)
+    _train(spec, out, device, ranks, as_json=as_json)
+
+
+def _tell_plan(
+    preset: str, overrides: Mapping[str, str], *, num_lights: int, device: str, as_json: bool
+) -> None:
+    from lambent_run.run.memory_plan import as_text, plan
+    from lambent_run.run.settings import config_for
+
+    sizes = plan(config_for(preset, overrides), num_lights=num_lights, device=device)
+    typer.echo(json.dumps(sizes) if as_json else as_text(sizes))
+
+
+def _resumed(out: Path, scene_dir: Path, preset: str, overrides: Mapping[str, str]) -> "RunSpec":
+    from lambent_run.run.settings import config_for
+    from lambent_run.run.spec import read_run
+
+    spec = replace(read_run(out)[0], scene=scene_dir)
+    if spec.config is None:  # photographs that were only prepared so far
+        spec = replace(spec, config=config_for(preset, overrides), preset=preset)
+    return spec
+
+
+def _train(spec: "RunSpec", out: Path, device: str, ranks: int, *, as_json: bool) -> None:
     from lambent_run.console_reporter import ConsoleReporter
     from lambent_run.run.pipeline import run_pipeline
     from lambent_run.run.prepare import device_for

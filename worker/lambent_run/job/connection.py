@@ -18,7 +18,7 @@ from lambent_run.job.servers import AwayError, Servers
 
 CHUNK_BYTES = 1024 * 1024
 CALL_TIMEOUT_S = 30.0
-# Where another server could be asked.
+# Where another server could answer.
 SHORT_TIMEOUT_S = 10.0
 TRANSFER_TIMEOUT_S = 900.0
 FIRST_WAIT_S = 0.1
@@ -26,6 +26,10 @@ LONGEST_WAIT_S = 2.0
 # After it was asked to end, a run waits this long for a server that does not answer.
 FAREWELL_S = 30.0
 MAX_BROKEN_TRANSFERS = 5
+EXIT_FENCED = 3
+"""Exit code of a run process where another run has taken over: the server needs no word about it."""
+EXIT_UNREACHABLE = 4
+"""The same where it waited long enough, or was to end, and the server did not answer any more."""
 
 _FENCED = frozenset(
     {
@@ -97,8 +101,8 @@ class Connection:
         self.identity = identity
         self.stub = Servers(identity)
         self._metadata = (("authorization", f"Bearer {identity.token}"),)
-        # Whether the run was asked to end. Handlers of signals set it, so it is no Event: a handler that
-        # interrupts another one would wait for ever for the lock which the first one has.
+        # Whether the run was asked to end. Handlers of signals set it, so it cannot be an Event: a handler
+        # that interrupts another one would wait for ever for the lock which the first one holds.
         self.ending = False
         self._store = Store()
         # Whether files go to and from the store directly; not any more once a server knows no such calls.
@@ -208,8 +212,8 @@ class Connection:
     def _get(self, sha256: str, partial: Path) -> None:
         """Write a file from the store, or where that cannot be reached from here from the server."""
         located = worker_pb2.LocateBlobRequest(fence=self.identity.fence, sha256=sha256)
-        found = self.stub.LocateBlob(located, timeout=CALL_TIMEOUT_S, metadata=self._metadata)
-        if found.url and self._read(found.url, partial):
+        location = self.stub.LocateBlob(located, timeout=CALL_TIMEOUT_S, metadata=self._metadata)
+        if location.url and self._read(location.url, partial):
             return
         request = worker_pb2.GetBlobRequest(fence=self.identity.fence, sha256=sha256)
         with partial.open("wb") as file:

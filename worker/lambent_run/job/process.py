@@ -22,8 +22,15 @@ from lambent_core.reporter import Reporter
 from lambent_core.startup import end_with_parent, ranks_in_use
 from lambent_proto.v1 import worker_pb2
 
-from lambent_run.job.connection import Connection, FencedError, Identity, RefusedError, UnreachableError
-from lambent_run.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
+from lambent_run.job.connection import (
+    EXIT_FENCED,
+    EXIT_UNREACHABLE,
+    Connection,
+    FencedError,
+    Identity,
+    RefusedError,
+    UnreachableError,
+)
 from lambent_run.job.order import Check, Order, Pipeline
 from lambent_run.job.run_limits import limit_run
 from lambent_run.job.server_reporter import ServerReporter, media_type
@@ -71,7 +78,7 @@ def check(scene_dir: Path) -> CaptureCheck:
 
 
 def work(pipeline: Pipeline = perform, check: Check = check) -> int:
-    """Do the run that `LAMBENT_RUN` names and return the exit code; the server is told how it ended."""
+    """Do the run that `LAMBENT_RUN` names and return the exit code; the server learns how it ended."""
     end_with_parent(signal.SIGKILL)
     identity = Identity.from_environment()
     limit_run(identity)
@@ -252,7 +259,7 @@ def restore_checkpoints(
 ) -> None:
     """Bring the kept checkpoints to where the pipeline left them; one that is broken is left out.
 
-    Whether one was made with the settings that its stage has now is seen when the stage goes on from it.
+    A stage checks itself whether one was made with its present settings.
     """
     for manifest in start.checkpoints:
         try:

@@ -16,12 +16,19 @@ from types import FrameType
 from lambent_core.startup import with_parent
 from lambent_proto.v1 import worker_pb2
 
-from lambent_run.job.connection import Connection, FencedError, Identity, RefusedError, UnreachableError
-from lambent_run.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
+from lambent_run.job.connection import (
+    EXIT_FENCED,
+    EXIT_UNREACHABLE,
+    Connection,
+    FencedError,
+    Identity,
+    RefusedError,
+    UnreachableError,
+)
 
 FIRST_HEARTBEAT_S = 1.0
 FENCED_GRACE_S = 1.0
-"""Time for a child to end by itself where the run has ended: it may be the child that has told so."""
+"""Time for a child to end by itself where the run has ended: the child may have reported that end itself."""
 
 
 def supervise(child_command: Sequence[str]) -> int:
@@ -83,7 +90,7 @@ def _watch(connection: Connection, child: subprocess.Popen[bytes]) -> None:
             reply = connection.once(
                 connection.stub.Heartbeat, worker_pb2.HeartbeatRequest(fence=identity.fence)
             )
-            # A server that was away may be another one, which does not know yet where this process is.
+            # A server that did not answer may be replaced by one that does not know where this process is.
             registered = reply is not None
             if reply is not None and reply.stop and not stopped:
                 stopped = True
@@ -99,7 +106,7 @@ def _watch(connection: Connection, child: subprocess.Popen[bytes]) -> None:
 
 
 def _end(child: subprocess.Popen[bytes], grace_s: float) -> None:
-    """Ask the child to end, and kill it after the grace time: no server may be there that could.
+    """Ask the child to end, and kill it after the grace time: no server may be left that could.
 
     In a thread of its own, because heartbeats wait for servers that do not answer.
     """

@@ -11,9 +11,9 @@ from lambent_run.report.request import Subject
 LPIPS_REASON = "needs network weights: give --lpips-weights FILE (docs/reference/protocol.md)"
 
 
-def absent_metrics(subject: Subject, found: Iterable[str]) -> list[evaluation_pb2.AbsentMetric]:
+def absent_metrics(subject: Subject, present: Iterable[str]) -> list[evaluation_pb2.AbsentMetric]:
     """Return the figures that are not among the names `found`, each with the reason."""
-    names = set(found)
+    names = set(present)
     reasons: dict[str, str] = {}
     truth = {kind for view in subject.views for kind in view.truth}
     if "albedo" not in truth:
@@ -44,17 +44,17 @@ def absent_metrics(subject: Subject, found: Iterable[str]) -> list[evaluation_pb
 def _environments(subject: Subject) -> dict[str, str]:
     lights, given = subject.scene.lights, subject.known_lights
     was_given = "the light was given (--known-light), not learned"
-    found = {f"environment/{light}/log_rmse": was_given for light in given if len(lights) > 1}
+    reasons = {f"environment/{light}/log_rmse": was_given for light in given if len(lights) > 1}
     if subject.scene.turned:
-        found["environment/log_rmse"] = "the light turned from photograph to photograph"
+        reasons["environment/log_rmse"] = "the light turned from photograph to photograph"
     elif set(given) == set(lights):
-        found["environment/log_rmse"] = was_given
+        reasons["environment/log_rmse"] = was_given
     elif not scored_lights(subject):
-        found["environment/log_rmse"] = (
+        reasons["environment/log_rmse"] = (
             f"the true environment is not known: envmaps/{lights[0]}.hdr in the capture, or a map of this "
             "name in --environments"
         )
-    return found
+    return reasons
 
 
 def _relighting(subject: Subject) -> dict[str, str]:
@@ -62,11 +62,11 @@ def _relighting(subject: Subject) -> dict[str, str]:
     if not scene.relight_lights:
         return {"relight/psnr": "the capture has no pictures in other light"}
     missing = [light for light in scene.relight_lights if light not in subject.maps]
-    found = {f"rgb/{light}/psnr": "--environments holds no map of this name" for light in missing}
+    reasons = {f"rgb/{light}/psnr": "--environments holds no map of this name" for light in missing}
     if len(missing) == len(scene.relight_lights):
-        found["relight/psnr"] = (
+        reasons["relight/psnr"] = (
             "no environment map was given: --environments DIR with maps named like the lights"
         )
     elif dataset_of(subject.dataset) == "openillumination" and len(scene.lights) == 1:
-        found["relight/psnr"] = "on OpenIllumination relit pictures count from a run in several lights"
-    return found
+        reasons["relight/psnr"] = "on OpenIllumination relit pictures count from a run in several lights"
+    return reasons

@@ -1,4 +1,4 @@
-"""What to tell a user about the factor per channel that photographs under unknown light leave open."""
+"""Note to users about the factor per channel that photographs under unknown light leave open."""
 
 import torch
 from flashcache.geometry.directions import environment_solid_angles

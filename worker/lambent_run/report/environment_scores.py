@@ -18,7 +18,7 @@ from lambent_run.report.table import Table
 
 ROWS, COLUMNS = 32, 64
 FINE = 4
-"""Rows at which a recovered environment is asked, per row of the comparison."""
+"""Rows of a recovered environment per row of the comparison."""
 FLOOR = 0.01
 """Radiance below this share of a channel's mean counts as this: such light hardly shows in a photograph."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -46,12 +46,12 @@ class EnvironmentErrors:
 
 def compare_environments(recovered: Map, truth: Map) -> EnvironmentErrors:
     """Return the errors of `recovered`; both maps have at least `ROWS` x `COLUMNS` pixels."""
-    found, wanted = reduced(recovered), reduced(truth)
+    own, wanted = reduced(recovered), reduced(truth)
     weight = np.repeat(environment_solid_angles(ROWS, COLUMNS, torch.float64).numpy(), COLUMNS) / (4 * np.pi)
-    apart = _log_radiance(found, weight) - _log_radiance(wanted, weight)
+    apart = _log_radiance(own, weight) - _log_radiance(wanted, weight)
     shift = weight @ apart
     factor = np.exp(-shift)
-    scaled = found * factor
+    scaled = own * factor
     peak = (wanted @ LUMINANCE).max()
     brightest = None
     if np.ptp(wanted @ LUMINANCE) > 0.0:
@@ -62,7 +62,7 @@ def compare_environments(recovered: Map, truth: Map) -> EnvironmentErrors:
         log_rmse=float(np.sqrt((weight @ np.square(apart - shift)).mean())),
         log_rmse_unscaled=float(np.sqrt((weight @ np.square(apart)).mean())),
         peak_ratio=float((scaled @ LUMINANCE).max() / peak),
-        peak_ratio_unscaled=float((found @ LUMINANCE).max() / peak),
+        peak_ratio_unscaled=float((own @ LUMINANCE).max() / peak),
         peak_angle_deg=brightest,
         factor=(float(factor[0]), float(factor[1]), float(factor[2])),
     )
@@ -104,14 +104,14 @@ def score_environments(table: Table, subject: Subject) -> None:
         truth = subject.true_lights[light]
         for name, image in ((light, recovered), (f"{light}_true", truth)):
             save_array(subject.out / FOLDER / f"{name}.npy", area_mean(image, ROWS, COLUMNS))
-        found = compare_environments(recovered, truth)
+        errors = compare_environments(recovered, truth)
         names = ["environment"]
         if len(subject.scene.lights) > 1 and not subject.shared_light:
             names.append(f"environment/{light}")
         for name in names:
-            table.add(f"{name}/log_rmse", found.log_rmse)
-            table.add(f"{name}/log_rmse_unscaled", found.log_rmse_unscaled)
-            table.add(f"{name}/peak_ratio", found.peak_ratio)
-            table.add(f"{name}/peak_ratio_unscaled", found.peak_ratio_unscaled)
-            if found.peak_angle_deg is not None:
-                table.add(f"{name}/peak_angle", found.peak_angle_deg)
+            table.add(f"{name}/log_rmse", errors.log_rmse)
+            table.add(f"{name}/log_rmse_unscaled", errors.log_rmse_unscaled)
+            table.add(f"{name}/peak_ratio", errors.peak_ratio)
+            table.add(f"{name}/peak_ratio_unscaled", errors.peak_ratio_unscaled)
+            if errors.peak_angle_deg is not None:
+                table.add(f"{name}/peak_angle", errors.peak_angle_deg)

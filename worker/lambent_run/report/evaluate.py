@@ -14,9 +14,14 @@ from lambent_run.report import figures, protocol
 from lambent_run.report.absent import absent_metrics
 from lambent_run.report.common_factor import common_factor_note
 from lambent_run.report.environment_scores import score_environments
-from lambent_run.report.maps import load
 from lambent_run.report.page import write_page
-from lambent_run.report.predictions import encoded, predict_relit, predict_surfaces, predict_uncertainty
+from lambent_run.report.predictions import (
+    encoded,
+    load,
+    predict_relit,
+    predict_surfaces,
+    predict_uncertainty,
+)
 from lambent_run.report.published import object_group, published_scene
 from lambent_run.report.request import UNSCALED_VIEWS, Subject
 from lambent_run.report.scores import Ruling, albedo_ratios, score
@@ -30,7 +35,7 @@ def evaluate(
 ) -> evaluation_pb2.EvaluationReport:
     """Render, score and write everything below `subject.out`; returns what is in report.json.
 
-    Pictures that are there already are kept: the caller clears the folder when they would differ.
+    Pictures that exist already are kept: the caller clears the folder when they would differ.
     """
     predict_surfaces(subject)
     predict_uncertainty(subject)

@@ -41,8 +41,8 @@ def measure(
     `DepthAgreement`, over more views; absent where no view shows mesh and volume.
     """
     shown = evenly_spaced(views, SHOWN_VIEWS)
-    found = [_measure_view(model, caches, surface, view, light, folder) for view in shown]
-    means = {name: float(np.mean([values[name] for values in found])) for name in found[0]}
+    by_view = [_measure_view(model, caches, surface, view, light, folder) for view in shown]
+    means = {name: float(np.mean([values[name] for values in by_view])) for name in by_view[0]}
     depth = depth_agreement(model, surface.vertices, surface.faces, evenly_spaced(views, NUM_VIEWS))
     if depth is None:
         return means

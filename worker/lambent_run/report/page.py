@@ -16,8 +16,7 @@ from numpy import ndarray
 
 from lambent_run.report import figures
 from lambent_run.report.environment_scores import FOLDER, LUMINANCE, compare_environments
-from lambent_run.report.maps import load
-from lambent_run.report.predictions import CACHE_FOLDER, DIRECT_FOLDER, ERROR_SUFFIX, encoded
+from lambent_run.report.predictions import CACHE_FOLDER, DIRECT_FOLDER, ERROR_SUFFIX, encoded, load
 from lambent_run.report.published import METRICS
 
 MAX_VIEWS = 6
@@ -101,7 +100,7 @@ def grouped(
             title for title, starts in GROUPS if row.name.startswith(starts) or title == SINGLE_LIGHTS
         )
         members[SINGLE_LIGHTS if single else title].append(row)
-    return [(title, found) for title, found in members.items() if found]
+    return [(title, listed) for title, listed in members.items() if listed]
 
 
 def view_figures(

@@ -37,7 +37,7 @@ ERROR_SUFFIX = "_stderr"
 
 
 def predict_surfaces(subject: Subject) -> None:
-    """Write surface maps and pictures under the training lights for all views; leaves out what is there."""
+    """Write surface maps and pictures under the training lights for all views; existing ones are kept."""
     for view in subject.views:
         folder = subject.out / "pred" / view.name
         if not (folder / "metallic.npy").is_file():
@@ -103,8 +103,8 @@ def predict_uncertainty(subject: Subject) -> None:
         folder = subject.out / "pred" / view.name
         if not (folder / "uncertainty.npy").is_file():
             distance = np.load(folder / "distance.npy", allow_pickle=False)
-            found = uncertainty_map(subject.model, subject.uncertainty, view.camera, distance)
-            save_array(folder / "uncertainty.npy", found)
+            values = uncertainty_map(subject.model, subject.uncertainty, view.camera, distance)
+            save_array(folder / "uncertainty.npy", values)
 
 
 def num_pictures(subject: Subject) -> int:
@@ -126,6 +126,12 @@ def encoded(
     """Return linear straight-alpha radiance clipped to 0..1 and sRGB-encoded, with its alpha."""
     values = torch.from_numpy(np.clip(rgb, 0.0, 1.0).astype(np.float32))
     return np.concatenate([srgb_from_linear(values).numpy(), np.clip(opacity, 0.0, 1.0)], axis=-1)
+
+
+def load(out: Path, folder: str, view: View, name: str) -> Float[ndarray, "height width channels"] | None:
+    """Return a predicted map as float64, or None where it was not rendered."""
+    path = out / folder / view.name / f"{name}.npy"
+    return np.load(path, allow_pickle=False).astype(np.float64) if path.is_file() else None
 
 
 def _save_surface(folder: Path, buffer: GBuffer) -> None:

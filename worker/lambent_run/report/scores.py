@@ -7,25 +7,29 @@ from pathlib import Path
 import numpy as np
 from flashcache.evaluation import metrics
 from flashcache.evaluation.lpips import Lpips
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from lambent_core.scene import Scene, View, evenly_spaced
+from lambent_relight.bundle.uncertainty import CHANNELS
 from numpy import ndarray
 
-from lambent_run.report.maps import load, object_mask
 from lambent_run.report.predictions import (
     CACHE_FOLDER,
     DIRECT_FOLDER,
     ERROR_SUFFIX,
     UNSCALED_FOLDER,
     encoded,
+    load,
     read_noise,
 )
 from lambent_run.report.published import dataset_of
 from lambent_run.report.table import Table
-from lambent_run.report.uncertainty_scores import score_uncertainty
 
 RATIO_VIEWS = 20
 INTERIOR_ALPHA = 0.99
+FEWEST_PIXELS = 50
+"""With a predicted uncertainty, below which nothing is said of it."""
+DARKEST = 1e-3
+"""Albedo below this is compared as this: a relative error of nothing means nothing."""
 
 
 def albedo_ratios(out: Path, views: Sequence[View]) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"]] | None:
@@ -94,6 +98,14 @@ def score(out: Path, scene: Scene, views: Sequence[View], ruling: Ruling) -> Tab
     return table
 
 
+def object_mask(view: View) -> Bool[ndarray, "height width"]:
+    """Return where the object is: alpha above 0 in the first map that has one."""
+    for kind in ("albedo", "normal"):
+        if kind in view.truth:
+            return view.truth[kind][..., 3] > 0.0
+    return next(iter(view.images.values()))[..., 3] > 0.0
+
+
 def _score_pictures(table: Table, out: Path, scene: Scene, view: View, ruling: Ruling) -> None:
     noise = read_noise(out, view.name)
     seen, relit = ruling.novel_views if ruling.held_out else "training_views", ruling.relight
@@ -106,14 +118,14 @@ def _score_pictures(table: Table, out: Path, scene: Scene, view: View, ruling: R
         (f"{relit}_unscaled", UNSCALED_FOLDER, scene.relight_lights, "unscaled"),
     ]
     for group, folder, lights, kind in groups:
-        found = list(_compared(out, folder, view, lights, ruling))
+        compared = list(_compared(out, folder, view, lights, ruling))
         # One value per view: the mean over its lights, so that views stay independent samples.
-        for name in found[0][1] if found else ():
-            table.add(f"{group}/{name}", float(np.mean([values[name] for _, values in found])))
-        _score_noise(table, out / folder / view.name, group, [light for light, _ in found])
+        for name in compared[0][1] if compared else ():
+            table.add(f"{group}/{name}", float(np.mean([values[name] for _, values in compared])))
+        _score_noise(table, out / folder / view.name, group, [light for light, _ in compared])
         if group.endswith("_all_train_lights"):
-            found = found[1:]  # the first light has its rows already
-        for light, values in found:
+            compared = compared[1:]  # the first light has its rows already
+        for light, values in compared:
             prefix = f"rgb/{light}" if folder == "pred" else f"{group}/{light}"
             for name, value in values.items():
                 table.add(f"{prefix}/{name}", value)
@@ -218,3 +230,31 @@ def _score_scalars(table: Table, out: Path, view: View) -> None:
         inside = (truth[..., 0] > 0.0) & mask
         if inside.any():
             table.add("distance/mean_abs", float(np.abs(predicted - truth)[inside].mean()))
+
+
+def score_uncertainty(table: Table, out: Path, view: View, ratio: Float[ndarray, "3"]) -> None:
+    """Note how predicted and actual relative errors of albedo go together on the object's inner pixels.
+
+    `albedo_rank_correlation` is Spearman's, 1 if pixels with higher predicted uncertainty always have larger
+    errors. `albedo_calibration` is the root mean square of actual over predicted error: 1 where the sizes are
+    right, larger where the prediction is too sure.
+    """
+    uncertainty = load(out, "pred", view, "uncertainty")
+    predicted = load(out, "pred", view, "albedo")
+    if uncertainty is None or predicted is None or "albedo" not in view.truth:
+        return
+    truth = view.truth["albedo"].astype(np.float64)
+    width = uncertainty[..., CHANNELS.index("albedo")]
+    inside = (truth[..., 3] > INTERIOR_ALPHA) & (width > 0.0)
+    if inside.sum() < FEWEST_PIXELS:
+        return
+    scaled = np.clip(predicted[..., :3] * ratio, DARKEST, 1.0)
+    error = np.abs(np.log(scaled / np.clip(truth[..., :3], DARKEST, 1.0)))[inside]
+    width = width[inside]
+    if np.ptp(width) > 0.0 and np.ptp(error) > 0.0:
+        from scipy.stats import spearmanr  # Takes a second to import.
+
+        correlation = spearmanr(width, error.mean(axis=-1)).statistic
+        table.add("uncertainty/albedo_rank_correlation", float(correlation))
+    scores = error / width[:, None]
+    table.add("uncertainty/albedo_calibration", float(np.sqrt(np.square(scores).mean())))

@@ -81,8 +81,8 @@ def measure_uncertainty(
     if len(points.positions) < FEWEST_POINTS:
         return None
     noise = Noise(absolute=residual(model, scene, seed))
-    found = measure_points(model, points, scene, noise=noise, rule=rule, priors=priors, seed=seed)
-    return grid_of(found if confidence is None else with_confidence(found, confidence))
+    measured = measure_points(model, points, scene, noise=noise, rule=rule, priors=priors, seed=seed)
+    return grid_of(measured if confidence is None else with_confidence(measured, confidence))
 
 
 @torch.no_grad()
@@ -107,12 +107,12 @@ def measure_points(
         return eliminate(linear_model(model, some, source, noise), priors)
 
     parts = on_all_cores(eliminated, range(0, len(points.positions), CHUNK_POINTS), device)
-    found = material_uncertainty(Elimination.join(parts), priors)
+    uncertainty = material_uncertainty(Elimination.join(parts), priors)
     columns = [
-        found.albedo.square().mean(dim=1).sqrt(),
-        found.albedo_from_light.square().mean(dim=1).sqrt(),
-        found.metalness,
-        found.perceptual_roughness,
+        uncertainty.albedo.square().mean(dim=1).sqrt(),
+        uncertainty.albedo_from_light.square().mean(dim=1).sqrt(),
+        uncertainty.metalness,
+        uncertainty.perceptual_roughness,
         num_views.clamp_max(MANY_VIEWS),
     ]
     values = torch.stack(columns, dim=1).float().cpu().numpy()
@@ -162,9 +162,9 @@ def residual(model: InverseModel, scene: Scene, seed: int) -> float:
         index = generator.permutation(opaque)[:NOISE_PIXELS]
         rays = camera_rays(model, view.camera, device).select(torch.from_numpy(index).to(device))
         radiance, opacity = cache_picture(model, rays, model.light_at(0, view.light_turn))
-        found = radiance.cpu().numpy()[opacity.cpu().numpy() > 0.5]
+        rendered = radiance.cpu().numpy()[opacity.cpu().numpy() > 0.5]
         wanted = image[index][opacity.cpu().numpy() > 0.5, :3]
-        errors.append(np.square(np.clip(found, 0.0, 1.0) - np.clip(wanted, 0.0, 1.0)).reshape(-1))
+        errors.append(np.square(np.clip(rendered, 0.0, 1.0) - np.clip(wanted, 0.0, 1.0)).reshape(-1))
     everything = np.concatenate([np.zeros(0), *errors])
     return max(SMALLEST_NOISE, float(np.sqrt(everything.mean()))) if everything.size else 1.0
 

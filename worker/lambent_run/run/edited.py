@@ -4,30 +4,36 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from lambent_asset.bundle.manifest import new_manifest, write_manifest
-from lambent_asset.bundle.poster import try_poster
+from lambent_asset.bundle.manifest import write_manifest
 from lambent_asset.bundle.surface_files import pixel_size, write_mesh
 from lambent_asset.bundle.transport_files import write_relight_graph
-from lambent_asset.edited.edited_bake import TriangleRays, occlusion_of, write_given_transport
 from lambent_asset.edited.edited_surface import GivenSurface, check_place, given_surface
 from lambent_asset.edited.glb_file import GivenMesh, read_glb
 from lambent_asset.mesh.mesh import Corner, occupied_box
-from lambent_asset.mesh.mesh_depth import relight_camera
+from lambent_asset.textures.surface_occlusion import bake_occlusion
+from lambent_asset.transport.transport import TransportConfig, bake_transport, write_transport
+from lambent_asset.transport.transport_rays import MESH_RAYS, TriangleRays
+from lambent_compute.threads import available_threads
 from lambent_core.errors import UsageError
 from lambent_core.files import file_sha256
 from lambent_core.reporter import Reporter
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight.bundle.bundle import load_bundle
-from lambent_relight.cameras import cameras_json
-from lambent_relight.environment.maps import write_environment
 
 from lambent_run.report.measure import write_photographs
 from lambent_run.run.context import TaskContext
 from lambent_run.run.export_notes import tell_about
 from lambent_run.run.folder import locked, require_done
-from lambent_run.run.hashes import last_training_task, scene_hash
+from lambent_run.run.hashes import last_training_task
 from lambent_run.run.prepare import open_task
-from lambent_run.run.tasks.export import at_reference, light_names, train_step
+from lambent_run.run.tasks.export import (
+    FOLDERS,
+    add_poster,
+    at_reference,
+    manifest_of,
+    write_cameras,
+    write_environments,
+)
 from lambent_run.run.tasks.training import load_final, read_scene
 
 NUM_PARTS = 5
@@ -86,7 +92,7 @@ def export_edited(
 def _write(context: TaskContext, given: GivenMesh, mesh: Path, folder: Path) -> None:
     """Fill `folder` with everything that such a bundle has."""
     settings = context.config.export
-    for name in ("models", "mesh", "env", "preview"):
+    for name in FOLDERS:
         (folder / name).mkdir(parents=True)
     scene = read_scene(context)
     model = at_reference(load_final(context, scene).eval())
@@ -102,47 +108,24 @@ def _write(context: TaskContext, given: GivenMesh, mesh: Path, folder: Path) -> 
         box=box,
         pixel_size=pixel_size((view.camera for view in (*scene.train, *scene.test)), box),
     )
-    manifest = new_manifest(
-        model,
-        _box_of(given),
-        name=scene.name,
-        preset=context.config.preset,
-        scene_id=scene_hash(context.spec.scene),
-        train_step=train_step(context),
-    )
-    manifest.train_lights.extend(light_names(model.domain.lights))
+    manifest = manifest_of(context, scene, model, _box_of(given))
     manifest.given_mesh.name = mesh.name
     manifest.given_mesh.sha256 = file_sha256(mesh)
     manifest.given_mesh.kept_uv = made.kept_uv
     manifest.given_mesh.share_from_model = made.from_model
     _say(context, given, made)
     _advance(context, 2)
-    rays = TriangleRays(made.surface)
+    rays = TriangleRays(made.surface.vertices, made.surface.faces)
     _write_mesh(context, made, rays, manifest, folder)
     _advance(context, 3)
-    write_given_transport(
-        made.surface,
-        made.reflectors,
-        rays,
-        manifest,
-        folder,
-        tier=settings.transport_tier,
-        store=_rays_beside(folder),
-        advance=lambda share: context.stop_if_asked(),
-    )
+    _write_transport(context, made, rays, manifest, folder)
     write_relight_graph(manifest, folder, seed=context.spec.seed)
     _advance(context, 4)
-    (folder / "cameras.json").write_text(
-        cameras_json([relight_camera(view.name, view.camera) for view in views]), encoding="utf-8"
-    )
-    for index, light in enumerate(manifest.train_lights):
-        image = model.environment.image(settings.environment_height, index).detach().cpu().numpy()
-        write_environment(folder / "env" / f"trained_{light}.exr", image)
+    write_cameras(views, folder)
+    write_environments(context, model, manifest, folder)
     write_photographs(views, scene.lights[0], folder / "preview")
-    if problem := try_poster(folder, manifest):
-        context.reporter.log("poster.failed", reason=problem)
-    files = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    write_manifest(folder, manifest, sorted(files))
+    add_poster(context, manifest, folder)
+    write_manifest(folder, manifest)
     _advance(context, NUM_PARTS)
 
 
@@ -159,10 +142,35 @@ def _write_mesh(
     folder: Path,
 ) -> None:
     settings, surface = context.config.export, made.surface
-    occlusion = occlusion_of(
-        surface, rays, num_points=settings.occlusion_points, num_rays=settings.occlusion_rays
+    occlusion = bake_occlusion(
+        surface,
+        rays,
+        origin_offset=rays.offset,
+        num_points=settings.occlusion_points,
+        num_rays=settings.occlusion_rays,
     )
     write_mesh(surface, made.textures(occlusion), manifest, folder, source="file", usdz=settings.usdz)
+
+
+def _write_transport(
+    context: TaskContext,
+    made: GivenSurface,
+    rays: TriangleRays,
+    manifest: bundle_pb2.BundleManifest,
+    folder: Path,
+) -> None:
+    transport, figures = bake_transport(
+        made.covered,
+        made.reflectors,
+        rays,
+        origin_offset=rays.offset,
+        config=TransportConfig(tier=context.config.export.transport_tier, rays=MESH_RAYS),
+        store=_rays_beside(folder),
+        advance=lambda share: context.stop_if_asked(),
+        num_threads=available_threads(),
+    )
+    write_transport(transport, manifest, folder)
+    manifest.metrics.update(figures)
 
 
 def _say(context: TaskContext, given: GivenMesh, made: GivenSurface) -> None:

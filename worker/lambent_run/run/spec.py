@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from flashcache.errors import ConfigError
 from lambent_capture.layouts.detect import detect_layout
@@ -41,6 +41,28 @@ _MAY_CHANGE = frozenset({"device", "scene"})
 _MAY_ALWAYS_CHANGE = frozenset({"grey_card"})
 # And what may until the training begins: nothing before it reads the settings of the method.
 _MAY_CHANGE_BEFORE_TRAINING = frozenset({"preset", "config", "corrections"})
+
+
+class RunOptions(TypedDict, total=False):
+    """Options of the command line that a run depends on."""
+
+    overrides: Mapping[str, str]
+    """Settings of the method that differ from the preset."""
+    lights: tuple[str, ...]
+    layout: str
+    known_lights: Sequence[str]
+    """`[LIGHT=]FILE`."""
+    masks: Path | None
+    """A folder of masks."""
+    whole_view: bool
+    """Whether everything in view is the object where there are no masks."""
+    light_fixed_to: str
+    """One of `LightFixedTo`."""
+    corrections: Path | None
+    """A file of what a person says about estimated masks."""
+    grey_card: str
+    """As `parse_grey_card` reads it."""
+    seed: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -93,41 +115,28 @@ class RunSpec:
         return (self.layout or detect_layout(self.scene)) == PHOTOGRAPHS
 
     @classmethod
-    def from_options(
-        cls,
-        scene: Path,
-        *,
-        preset: str,
-        overrides: Mapping[str, str] | None = None,
-        lights: tuple[str, ...] = (),
-        layout: str = "",
-        known_lights: Sequence[str] = (),
-        masks: Path | None = None,
-        whole_view: bool = False,
-        light_fixed_to: str = "auto",
-        corrections: Path | None = None,
-        grey_card: str = "",
-        seed: int = 0,
-    ) -> "RunSpec":
+    def from_options(cls, scene: Path, *, preset: str, **options: Unpack[RunOptions]) -> "RunSpec":
         """Return the specification for options of the command line.
 
-        `known_lights` are `[LIGHT=]FILE`, `masks` is a folder of masks, `whole_view` takes everything in view
-        for the object where there are none, `light_fixed_to` is one of `LightFixedTo`, `corrections` is a
-        file of what a person says about estimated masks, `grey_card` is as `parse_grey_card` reads it.
         Raises `UsageError` for an unknown preset and files that cannot be used, `ConfigError` for a wrong
         setting.
         """
+        corrections, card = options.get("corrections"), options.get("grey_card")
         return cls(
             scene=scene,
-            config=config_for(preset, overrides or {}),
+            config=config_for(preset, options.get("overrides", {})),
             preset=preset,
-            seed=seed,
-            lights=lights,
-            layout=layout,
-            light_fixed_to=as_light_fixed_to(light_fixed_to),
+            seed=options.get("seed", 0),
+            lights=options.get("lights", ()),
+            layout=options.get("layout", ""),
+            light_fixed_to=as_light_fixed_to(options.get("light_fixed_to", "auto")),
             corrections=() if corrections is None else tuple(read_corrections(corrections)),
-            grey_card=_found_card(scene, parse_grey_card(grey_card) if grey_card else None),
-            **_given(known_lights, masks, whole_view=whole_view),
+            grey_card=_found_card(scene, parse_grey_card(card) if card else None),
+            **_given(
+                options.get("known_lights", ()),
+                options.get("masks"),
+                whole_view=options.get("whole_view", False),
+            ),
         )
 
     @classmethod
@@ -184,14 +193,14 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
         "scene": str(spec.scene.resolve()),
     }
     if (run_dir / "run.json").exists():
-        found = run_record(run_dir)
-        if config_record(config_of(found["config"])) != found["config"]:
+        kept = run_record(run_dir)
+        if config_record(config_of(kept["config"])) != kept["config"]:
             raise UsageError(
                 "run.version",
                 f'"{run_dir}" has settings of another release, so it cannot be trained further; train again '
                 "in another folder, or use this one with lambent evaluate and lambent export",
             )
-        differing = {name for name, value in wanted.items() if found[name] != value} - _MAY_CHANGE
+        differing = {name for name, value in wanted.items() if kept[name] != value} - _MAY_CHANGE
         if not differing:
             return
         fixed = differing - _changeable(run_dir)
@@ -201,7 +210,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
             raise UsageError(
                 "run.other_settings",
                 f'"{run_dir}" {held if fixed == {"corrections"} else f"holds a run with another {named}"}; '
-                "choose another folder with -o, or give --resume to go on with the settings it has",
+                "choose another folder with -o, or give --resume to continue with the settings it has",
             )
         if "masks" in differing:
             shutil.rmtree(run_dir / KEPT_FOLDER, ignore_errors=True)
@@ -242,12 +251,12 @@ def read_run(run_dir: Path) -> tuple[RunSpec, str]:
 
 
 def _versions() -> dict[str, str]:
-    """Return the versions of what computes, those of packages that are there."""
-    found = {}
+    """Return the versions of what computes, of packages that are installed."""
+    versions = {}
     for name in ("lambent", "torch", "numpy"):
         with suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
+            versions[name] = version(name)
+    return versions
 
 
 def with_kept_corrections(spec: RunSpec, run_dir: Path) -> RunSpec:

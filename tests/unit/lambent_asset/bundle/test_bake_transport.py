@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from lambent_asset.transport.transport import BakedSurface, TransportConfig, bake_transport
+from lambent_asset.transport.transport import TransportConfig, bake_transport
 from lambent_asset.transport.transport_bounce import Reflectors
-from lambent_asset.transport.transport_rays import RayConfig, cast, direction_sets
+from lambent_asset.transport.transport_rays import BakedSurface, RayConfig, cast, direction_sets
 from lambent_core.errors import WorkerError
 from lambent_relight.baked.transport import coarse_blocks
 from lambent_relight.environment import harmonics
@@ -152,9 +152,10 @@ def test_an_interrupted_bake_goes_on_where_it_was(tmp_path):
         if share >= 0.5:
             raise InterruptedError
 
-    sets = np.arange(len(surface.positions)) % 16
-    arguments = (surface.positions, surface.normals, sets, np.arange(0, len(sets), 4), counted)
-    settings = {"origin_offset": 1e-3, "config": RayConfig(texels_per_chunk=16)}
+    arguments, settings = (
+        (surface, counted),
+        {"origin_offset": 1e-3, "config": RayConfig(texels_per_chunk=16)},
+    )
     whole = cast(*arguments, **settings, store=tmp_path / "whole")
     needed = sum(asked)
     asked.clear()

@@ -1,4 +1,4 @@
-"""What is kept of photographs that are no longer open."""
+"""Memory of photographs that are no longer open."""
 
 import tracemalloc
 

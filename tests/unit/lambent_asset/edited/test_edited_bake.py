@@ -1,8 +1,10 @@
 """Rays against triangles agree with rays against the exact shapes, and so does what is baked from them."""
 
 import numpy as np
-from lambent_asset.edited.edited_bake import TriangleRays, occlusion_of, write_given_transport
 from lambent_asset.textures.surface import AtlasSurface
+from lambent_asset.textures.surface_occlusion import bake_occlusion
+from lambent_asset.transport.transport import TransportConfig, bake_transport, write_transport
+from lambent_asset.transport.transport_rays import MESH_RAYS, BakedSurface, TriangleRays
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.baked.transport import transport_files
 from support.analytic_scene import AnalyticScene, Box, NumpyOps, Surface
@@ -40,7 +42,7 @@ def test_rays_meet_what_the_exact_shapes_have_there():
     normal = surface.texel_normals[chosen]
     direction *= np.sign((direction * normal).sum(axis=1, keepdims=True))
     origin = (surface.positions[chosen] + SCENE.origin_offset * normal).astype(np.float32)
-    rays = TriangleRays(surface)
+    rays = TriangleRays(surface.vertices, surface.faces)
     opacity, distance = rays(origin, direction.astype(np.float32))
     expected, hits = SCENE.first_hit(NumpyOps, origin, direction.astype(np.float32), SCENE.near)
     same = opacity[:, 0] == hits[:, 0]
@@ -53,8 +55,10 @@ def test_rays_meet_what_the_exact_shapes_have_there():
 
 def test_occlusion_is_that_of_the_closed_form_below_a_block():
     surface, _ = atlas(16)
-    rays = TriangleRays(surface)
-    found = occlusion_of(surface, rays, num_points=len(surface.positions), num_rays=256)
+    rays = TriangleRays(surface.vertices, surface.faces)
+    found = bake_occlusion(
+        surface, rays, origin_offset=rays.offset, num_points=len(surface.positions), num_rays=256
+    )
     top = np.abs(surface.positions[:, 2] + 0.4) < 1e-3
     below = top & (np.abs(surface.positions[:, :2]).max(axis=1) < 0.2)
     assert below.sum() == 16
@@ -78,16 +82,16 @@ def test_transport_is_that_of_the_exact_shapes(tmp_path):
     surface, reflectors = atlas(side)
     exact, _ = baked_transport(SCENE, side, tmp_path / "exact.rays")
     manifest = BundleManifest()
-    write_given_transport(
-        surface,
+    rays = TriangleRays(surface.vertices, surface.faces)
+    transport, figures = bake_transport(
+        BakedSurface(surface.size, surface.texel_index, surface.positions, surface.texel_normals),
         reflectors,
-        TriangleRays(surface),
-        manifest,
-        tmp_path,
-        tier="full",
+        rays,
+        origin_offset=rays.offset,
+        config=TransportConfig(rays=MESH_RAYS),
         store=tmp_path / "rays",
-        advance=lambda share: None,
     )
+    write_transport(transport, manifest, tmp_path)
     expected = BundleManifest()
     files = transport_files(exact, expected)
     for planes, wanted in zip(manifest.transport.planes, expected.transport.planes, strict=True):
@@ -106,4 +110,4 @@ def test_transport_is_that_of_the_exact_shapes(tmp_path):
         )
         error = np.sqrt(np.mean((found - right) ** 2)) / np.sqrt(np.mean(right**2))
         assert error < 0.03, planes.name
-    assert manifest.metrics["transport_blocked_share"] > 0.01
+    assert figures["transport_blocked_share"] > 0.01

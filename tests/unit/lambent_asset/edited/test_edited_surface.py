@@ -8,13 +8,14 @@ import pytest
 import torch
 from flashcache.config import ExportConfig
 from lambent_asset.bundle.glb import write_glb
-from lambent_asset.edited.edited_bake import TriangleRays, occlusion_of
 from lambent_asset.edited.edited_surface import check_place, given_surface
 from lambent_asset.edited.given_charts import charts_of
 from lambent_asset.edited.glb_file import read_glb
 from lambent_asset.mesh.mesh import occupied_box
 from lambent_asset.textures.surface import build_surface
+from lambent_asset.textures.surface_occlusion import bake_occlusion
 from lambent_asset.textures.textures import bake_materials
+from lambent_asset.transport.transport_rays import TriangleRays
 from lambent_core.errors import UsageError
 from lambent_relight.baked.raster import interpolate, rasterise_uv
 from scipy.spatial import cKDTree
@@ -178,7 +179,8 @@ def test_the_occlusion_of_a_ball_is_what_its_bent_normals_see_below_the_tangent_
     """The form factor of what is open is half of one plus the cosine between both normals."""
     _, _, given = own
     made = on_atlas(model, given, box)
-    found = occlusion_of(made.surface, TriangleRays(made.surface), num_points=10_000, num_rays=256)
+    rays = TriangleRays(made.surface.vertices, made.surface.faces)
+    found = bake_occlusion(made.surface, rays, origin_offset=rays.offset, num_points=10_000, num_rays=256)
     radial = made.surface.positions / np.linalg.norm(made.surface.positions, axis=1, keepdims=True)
     expected = 0.5 + 0.5 * (made.surface.texel_normals * radial).sum(axis=1)
     error = found - expected

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lambent_asset.textures.surface_occlusion import bake_occlusion, cosine_directions
-from lambent_relight.bundle.graphs import SecondaryHits
 from support.atlas_box import atlas_box
 
 BOX = atlas_box(32)
@@ -14,9 +13,9 @@ BOX = atlas_box(32)
 def above(threshold: float):
     """Return visibility that is blocked in all directions higher than `threshold`."""
 
-    def secondary(origin: np.ndarray, direction: np.ndarray) -> SecondaryHits:
+    def secondary(origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         blocked = (direction[:, 2:] > threshold).astype(np.float32)
-        return SecondaryHits(opacity=blocked, distance=np.ones_like(blocked))
+        return blocked, np.ones_like(blocked)
 
     return secondary
 
@@ -48,9 +47,9 @@ def test_unmeasured_texels_take_the_value_of_neighbours_that_face_their_way():
 def test_rays_start_above_the_surface():
     seen = []
 
-    def secondary(origin: np.ndarray, direction: np.ndarray) -> SecondaryHits:
+    def secondary(origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         seen.append(origin)
-        return SecondaryHits(np.zeros((len(origin), 1), np.float32), np.ones((len(origin), 1), np.float32))
+        return np.zeros((len(origin), 1), np.float32), np.ones((len(origin), 1), np.float32)
 
     bake_occlusion(BOX, secondary, origin_offset=0.25, num_points=10_000, num_rays=2)
     wanted = BOX.positions + 0.25 * BOX.texel_normals

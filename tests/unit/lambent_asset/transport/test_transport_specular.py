@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from lambent_asset.transport import transport_specular
-from lambent_asset.transport.transport_specular import mirrored_light
+from lambent_asset.transport.transport_specular import RayHits, mirrored_light
 from lambent_relight.baked.split_sum import split_sum
 from lambent_relight.baked.transport_kernels import basis_rows
 from lambent_relight.baked.transport_lobes import factors_at, ggx_bands, per_coefficient
@@ -26,7 +26,9 @@ def test_mirrored_light_and_the_rest_are_the_relighters_terms(visibility_bands, 
     normals, roughness = units(rng, num_texels), rng.uniform(0.0, 1.0, num_texels).astype(np.float32)
     f0 = rng.random((num_texels, 3)).astype(np.float32)
     visibility = rng.normal(0.5, 1.0, (num_texels, visibility_bands**2)).astype(np.float32)
-    mirrored, rest = mirrored_light(first, texel, weight, direction, normals, roughness, f0, visibility, 9)
+    mirrored, rest = mirrored_light(
+        RayHits(first, texel, weight, direction), normals, roughness, f0, visibility, 9
+    )
 
     cosine = -np.einsum("ni,ni->n", direction, normals[texel])
     mirror = direction + 2.0 * cosine[:, None] * normals[texel]

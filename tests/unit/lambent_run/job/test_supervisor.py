@@ -1,4 +1,4 @@
-"""A supervisor waits for a server that is away, and not for one that will not come back."""
+"""A supervisor waits for a server that does not answer, and not for one that will not come back."""
 
 import json
 import os
@@ -16,13 +16,12 @@ import pytest
 from lambent_proto.v1 import worker_pb2
 from lambent_run import __main__ as program
 from lambent_run.job import supervisor
-from lambent_run.job.connection import FencedError, Identity
-from lambent_run.job.exit_codes import EXIT_FENCED, EXIT_UNREACHABLE
+from lambent_run.job.connection import EXIT_FENCED, EXIT_UNREACHABLE, FencedError, Identity
 from lambent_server.core.settings import Settings
 
 
 class FakeConnection:
-    """Answers as a test says, and notes what it is told."""
+    """Answers as a test says, and notes what it receives."""
 
     def __init__(self, identity: Identity, answer: Callable[[str], Any]) -> None:
         self.identity = identity
@@ -93,7 +92,7 @@ def test_a_pipeline_that_does_not_end_when_told_is_killed_after_the_grace_time(
 
     code, connection = supervised(tmp_path, monkeypatch, deaf, answer, stop_grace_s=0.4)
     assert 0.4 <= time.monotonic() - told[0] < 10.0
-    # It is told that it has to end as long as it lives.
+    # Every answer says that it has to end as long as it lives.
     assert len(told) > 2
     (failure,) = connection.failures
     assert (code, failure.cause, connection.ending) == (0, worker_pb2.FAIL_CAUSE_KILLED, True)
@@ -106,7 +105,7 @@ def test_a_pipeline_that_does_not_end_when_told_is_killed_after_the_grace_time(
         ("time.sleep(30)", EXIT_FENCED, "fenced: it has ended"),
         ("raise SystemExit(2)", EXIT_FENCED, "fenced: it has ended"),
     ],
-    ids=["has succeeded", "goes on", "fails"],
+    ids=["has succeeded", "continues", "fails"],
 )
 def test_a_child_that_ends_well_as_its_run_has_ended_is_not_called_fenced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any, then: str, expected: int, word: str

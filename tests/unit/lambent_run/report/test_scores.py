@@ -11,9 +11,8 @@ from lambent_capture.loading.lights import select_lights
 from lambent_capture.loading.load import load_scene
 from lambent_core.files import write_json
 from lambent_core.scene import evenly_spaced
-from lambent_run.report.maps import object_mask
 from lambent_run.report.predictions import save_array
-from lambent_run.report.scores import Ruling, albedo_ratios, score
+from lambent_run.report.scores import Ruling, albedo_ratios, object_mask, score
 from support.captures import REFERENCES
 from support.predictions import reference_evaluation, write_predictions
 

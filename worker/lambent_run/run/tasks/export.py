@@ -3,7 +3,7 @@
 import copy
 import re
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,27 +15,24 @@ from lambent_asset.bundle.manifest import new_manifest, write_manifest, write_un
 from lambent_asset.bundle.parity import MOST_ROUNDING, ParityResult, fits_half, with_half_tables
 from lambent_asset.bundle.poster import try_poster
 from lambent_asset.bundle.surface_files import pixel_size, write_asset, written_caches
-from lambent_asset.bundle.transport_files import (
-    baked_transport,
-    write_relight_graph,
-    write_transport,
-)
+from lambent_asset.bundle.transport_files import baked_transport, write_relight_graph
 from lambent_asset.mesh.mesh import Corner, occupied_box
 from lambent_asset.mesh.mesh_depth import relight_camera
 from lambent_asset.textures.photo_albedo import Photographs, albedo_texture, automatic_size
 from lambent_asset.textures.surface import AtlasSurface, build_surface
-from lambent_asset.transport.transport import TransportConfig
+from lambent_asset.transport.transport import TransportConfig, write_transport
 from lambent_asset.transport.transport_quality import judge_qualities
 from lambent_asset.transport.transport_rays import MESH_RAYS
 from lambent_capture.loading.load import camera_of, full_size_views
 from lambent_core.errors import WorkerError
 from lambent_core.files import read_record
-from lambent_core.scene import Camera, Scene
+from lambent_core.scene import Camera, Scene, View
 from lambent_proto.v1 import bundle_pb2, scene_pb2
 from lambent_relight.baked.mesh import AtlasMesh
 from lambent_relight.baked.scene import baked_scene
 from lambent_relight.baked.transport import Transport
 from lambent_relight.bundle.graphs import SurfaceCaches
+from lambent_relight.cameras import Camera as RelightCamera
 from lambent_relight.cameras import cameras_json
 from lambent_relight.environment.maps import write_environment
 from numpy.typing import NDArray
@@ -86,15 +83,8 @@ def write_bundle(
     _advance(context, 1)
 
     rule = GbufferRule(box_min=box[0], box_max=box[1], num_samples=settings.gbuffer_samples)
-    manifest = new_manifest(
-        model,
-        box,
-        name=scene.name,
-        preset=context.config.preset,
-        scene_id=scene_hash(context.spec.scene),
-        train_step=train_step(context),
-    )
-    manifest.train_lights.extend(light_names(model.domain.lights))
+    manifest = manifest_of(context, scene, model, box)
+    trained = model
 
     def compared(path: str, result: ParityResult) -> None:
         context.reporter.log(
@@ -106,40 +96,22 @@ def write_bundle(
         )
         _advance(context, {"models/gbuffer.onnx": 2, "models/relight.onnx": 5}.get(path, 3))
 
-    trained = model
     model = _write_networks(context, at_reference(model), rule, manifest, folder, compared)
     caches = written_caches(manifest, folder)
-    recovered = {
-        light: model.environment.image(settings.environment_height, index).detach().cpu().numpy()
-        for index, light in enumerate(manifest.train_lights)
-    }
+    recovered = write_environments(context, model, manifest, folder)
     surface = _write_surface(context, scene, model, caches, manifest, folder, recovered, box)
     if settings.transport_tier != "none":
         compared("models/relight.onnx", write_relight_graph(manifest, folder, seed=context.spec.seed))
     _advance(context, 5)
 
     views = scene.test or scene.train
-    cameras = [relight_camera(view.name, view.camera) for view in views]
-    (folder / "cameras.json").write_text(cameras_json(cameras), encoding="utf-8")
-    for light, image in recovered.items():
-        write_environment(folder / "env" / f"trained_{light}.exr", image)
+    cameras = write_cameras(views, folder)
     _advance(context, 6)
     manifest.metrics.update(measure(model, caches, surface, views, scene.lights[0], folder / "preview"))
-    if settings.transport_tier != "none" and settings.judge_samples:
-        judged = judge_qualities(
-            folder,
-            manifest,
-            cameras[:1],
-            recovered,
-            num_samples=settings.judge_samples,
-            seed=context.spec.seed,
-            networks=settings.weights != "none",
-        )
-        manifest.metrics.update(judged)
+    _judge(context, manifest, folder, cameras, recovered)
     if settings.weights == "none":
         remove_networks(manifest, folder)
-    if problem := try_poster(folder, manifest):
-        context.reporter.log("poster.failed", reason=problem)
+    add_poster(context, manifest, folder)
     _advance(context, 7)
     uncertainty = uncertainty_of_run(context, trained if scene.turned else model, scene)
     if uncertainty is not None:
@@ -149,11 +121,76 @@ def write_bundle(
         # training was when a preview was made depends on the machine.
         if picture.name != "evaluation.png" and not picture.name.startswith(PREVIEW_NAME.format(stage="")):
             shutil.copyfile(picture, folder / "preview" / picture.name)
-    files = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    write_manifest(folder, manifest, sorted(files))
+    write_manifest(folder, manifest)
     _advance(context, NUM_PARTS)
     context.reporter.log("exported", **{name: round(value, 6) for name, value in manifest.metrics.items()})
     return manifest
+
+
+def manifest_of(
+    context: TaskContext, scene: Scene, model: InverseModel, box: tuple[Corner, Corner]
+) -> bundle_pb2.BundleManifest:
+    """Return the beginning of a run's manifest: everything that is known before anything is written."""
+    manifest = new_manifest(
+        model,
+        box,
+        name=scene.name,
+        preset=context.config.preset,
+        scene_id=scene_hash(context.spec.scene),
+        train_step=train_step(context),
+    )
+    manifest.train_lights.extend(light_names(model.domain.lights))
+    return manifest
+
+
+def write_environments(
+    context: TaskContext, model: InverseModel, manifest: bundle_pb2.BundleManifest, folder: Path
+) -> dict[str, NDArray[np.float32]]:
+    """Write the recovered environments into `folder`/env, and return them by light."""
+    height = context.config.export.environment_height
+    recovered = {
+        light: model.environment.image(height, index).detach().cpu().numpy()
+        for index, light in enumerate(manifest.train_lights)
+    }
+    for light, image in recovered.items():
+        write_environment(folder / "env" / f"trained_{light}.exr", image)
+    return recovered
+
+
+def write_cameras(views: Sequence[View], folder: Path) -> list[RelightCamera]:
+    """Write the cameras of views into `folder`, and return them."""
+    cameras = [relight_camera(view.name, view.camera) for view in views]
+    (folder / "cameras.json").write_text(cameras_json(cameras), encoding="utf-8")
+    return cameras
+
+
+def add_poster(context: TaskContext, manifest: bundle_pb2.BundleManifest, folder: Path) -> None:
+    """Write the pictures by which people recognise the bundle, which does without where that fails."""
+    if problem := try_poster(folder, manifest):
+        context.reporter.log("poster.failed", reason=problem)
+
+
+def _judge(
+    context: TaskContext,
+    manifest: bundle_pb2.BundleManifest,
+    folder: Path,
+    cameras: Sequence[RelightCamera],
+    recovered: Mapping[str, NDArray[np.float32]],
+) -> None:
+    """Add metrics of baked pictures compared with refined ones."""
+    settings = context.config.export
+    if settings.transport_tier == "none" or not settings.judge_samples:
+        return
+    judged = judge_qualities(
+        folder,
+        manifest,
+        cameras[:1],
+        recovered,
+        num_samples=settings.judge_samples,
+        seed=context.spec.seed,
+        networks=settings.weights != "none",
+    )
+    manifest.metrics.update(judged)
 
 
 def _write_surface(
