@@ -118,7 +118,7 @@ class Stopped(WorkerError):  # noqa: N818 - not a mistake of anyone
     def __init__(self) -> None:
         super().__init__(
             "run.stopped",
-            "stopped on request after writing a checkpoint; the same command goes on from there",
+            "stopped on request after writing a checkpoint; the same command continues from there",
         )
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -26,7 +26,7 @@ PLAIN_INTERVAL_S = 5.0
 
 
 class ConsoleReporter:
-    """A `Reporter` for the terminal: bars, plain lines where nobody watches, or JSON lines.
+    """A `Reporter` for the terminal: bars, plain lines where the output is not a terminal, or JSON lines.
 
     Bars and plain lines go to standard error, JSON lines to standard output. Everything is also appended to
     `log.jsonl` in the run folder, and previews are kept in `previews/`.

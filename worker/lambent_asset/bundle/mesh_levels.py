@@ -74,8 +74,8 @@ def coarser(surface: AtlasSurface, num_faces: int) -> AtlasSurface:
 
     uv, normals = carried(surface.uv), unit(carried(surface.normals)).astype(np.float32)
     faces = np.asarray(faces, np.int32)
-    found = rasterise_uv(uv, faces, surface.size)
-    index = np.flatnonzero(found.covered).astype(np.int32)
+    fragments = rasterise_uv(uv, faces, surface.size)
+    index = np.flatnonzero(fragments.covered).astype(np.int32)
     owner = nearest_texel(surface.texel_index, surface.size).reshape(-1)[index]
     return replace(
         surface,

@@ -71,8 +71,8 @@ def compare(
     too. Raises WorkerError when another row is above, or more than 1 % of all rows are above 1e-5.
     """
     expected = _twin(twin, model, inputs)
-    found = _run(graph, inputs)
-    error = _largest_error(found, expected)
+    answers = _run(graph, inputs)
+    error = _largest_error(answers, expected)
     suspects = np.flatnonzero(~(error <= TOLERANCE))
     if len(suspects) > MAX_LEFT_OUT * len(error):
         raise _refused(name, float(np.nanmax(error)), len(suspects), len(error))
@@ -142,12 +142,12 @@ def _twin(twin: Twin, model: nn.Module, inputs: Inputs) -> dict[str, NDArray[np.
 
 
 def _largest_error(
-    found: Mapping[str, NDArray[np.floating]], expected: Mapping[str, NDArray[np.floating]]
+    answers: Mapping[str, NDArray[np.floating]], expected: Mapping[str, NDArray[np.floating]]
 ) -> NDArray[np.float64]:
     """Return the largest error of each row over all outputs; NaN where a value is not a number."""
-    assert set(found) == set(expected), f"outputs {sorted(found)} and {sorted(expected)} differ"
+    assert set(answers) == set(expected), f"outputs {sorted(answers)} and {sorted(expected)} differ"
     errors = [
-        np.abs(found[name].astype(np.float64) - expected[name]) / np.maximum(1.0, np.abs(expected[name]))
+        np.abs(answers[name].astype(np.float64) - expected[name]) / np.maximum(1.0, np.abs(expected[name]))
         for name in expected
     ]
     return np.concatenate(errors, axis=1).max(axis=1)
@@ -209,11 +209,11 @@ def rounding_of(
     the exact answer's opacity.
     """
     weight = exact.get("opacity", np.ones((1, 1)))
-    found = []
+    roundings = []
     for name, wanted in sorted(exact.items()):
         error = np.abs(rounded[name].astype(np.float64) - wanted) / np.maximum(1.0, np.abs(wanted))
         error = error if name in _OWN else error * weight
         rounding = bundle_pb2.Rounding(output=name, max_abs_error=error.max(), num_samples=len(error))
         rounding.rms_error = np.sqrt((error**2).mean())
-        found.append(rounding)
-    return found
+        roundings.append(rounding)
+    return roundings

@@ -1,1 +1,1 @@
-"""A mesh that somebody edited, put back: read, given maps and light transport, and written as a bundle."""
+"""Export of a mesh that was edited in another program, with the materials and light transport of a bundle."""

@@ -37,14 +37,14 @@ def fine_albedo(given: GivenMesh, charts: Unwrapped, coarse: Plane, size: int) -
 
     Parts without maps have that of `coarse`, an albedo of another size on the same charts, interpolated.
     """
-    found = rasterise_uv(charts.uv, charts.faces, size)
-    index = np.flatnonzero(found.covered).astype(np.int32)
+    fragments = rasterise_uv(charts.uv, charts.faces, size)
+    index = np.flatnonzero(fragments.covered).astype(np.int32)
     own_uv = given.uv[charts.source]
     fitting = [None if maps is None else maps.reduced(size) for maps in given.maps]
     plane = np.zeros((size, size, 3), np.float32)
     for row in range(0, size, ROWS_AT_ONCE):
         band = slice(row, row + ROWS_AT_ONCE)
-        some = Fragments(found.face[band], found.barycentric[band], found.depth[band])
+        some = Fragments(fragments.face[band], fragments.barycentric[band], fragments.depth[band])
         uv = interpolate(some, charts.faces, own_uv)
         rows, columns = np.nonzero(some.covered)
         here = (np.stack([columns, rows + row], axis=1) + 0.5) / size
@@ -59,7 +59,7 @@ def fine_albedo(given: GivenMesh, charts: Unwrapped, coarse: Plane, size: int) -
                 margin = 0.5 / len(coarse)
                 values[chosen] = sampled(coarse, here[chosen].clip(margin, 1.0 - margin))
         plane[band][some.covered] = values
-    del found
+    del fragments
     owner = nearest_texel(index, size)
     flat = plane.reshape(-1, 3)
     for row in range(0, size, ROWS_AT_ONCE):

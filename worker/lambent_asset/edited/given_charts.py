@@ -1,4 +1,4 @@
-"""Whether the texture coordinates of a given mesh are an atlas, and new ones where they are not."""
+"""The texture coordinates of an edited mesh where they are an atlas, and new ones where they are not."""
 
 import numpy as np
 from jaxtyping import Int
@@ -12,7 +12,7 @@ from lambent_asset.mesh.mesh import Mesh, piece_of_face
 MOST_OVERLAP = 0.02
 """Share of the charts' area that may lie on other charts in an atlas that is kept."""
 MOST_TOUCHING = 0.002
-"""Share of the covered texels that may lie beside a texel of another chart in an atlas that is kept."""
+"""Share of the covered texels that may touch a texel of another chart in an atlas that is kept."""
 LEAST_COVERAGE = 0.02
 """Share of an atlas that is kept, that charts must cover: less wastes nearly all texels."""
 
@@ -25,9 +25,9 @@ def charts_of(given: GivenMesh, size: int) -> tuple[Unwrapped, bool]:
     if all(given.has_uv) and given.uv.min() >= 0.0 and given.uv.max() <= 1.0:
         own = Unwrapped(np.arange(len(given.vertices)), given.faces, given.uv)
         area = covered_share(given.uv, given.faces)
-        found = rasterise_uv(given.uv, given.faces, size)
+        fragments = rasterise_uv(given.uv, given.faces, size)
         # Texels are counted by their centres: the error is far below the margin at 16 texels a side and more.
-        whole = area >= LEAST_COVERAGE and float(found.covered.mean()) >= (1.0 - MOST_OVERLAP) * area
+        whole = area >= LEAST_COVERAGE and float(fragments.covered.mean()) >= (1.0 - MOST_OVERLAP) * area
         if whole and touching_share(given, size_within(own, size)) <= MOST_TOUCHING:
             return own, True
     advice = (
@@ -37,7 +37,7 @@ def charts_of(given: GivenMesh, size: int) -> tuple[Unwrapped, bool]:
 
 
 def touching_share(given: GivenMesh, size: int) -> float:
-    """Return the share of an atlas's covered texels, `size` a side, that lie beside another chart's.
+    """Return the share of an atlas's covered texels, `size` a side, that touch another chart's.
 
     What is read between two such texels is a mixture of two places of the surface.
     """

@@ -58,7 +58,7 @@ class GivenMesh:
 def read_glb(path: Path) -> GivenMesh:
     """Return the mesh in the file at `path`.
 
-    Raises UsageError: `mesh_file.unreadable` for what is no whole GLB, `mesh_file.unsupported` for one with
+    Raises UsageError: `mesh_file.unreadable` for an incomplete GLB, `mesh_file.unsupported` for one with
     skins, shape keys or other extensions, and `mesh_file.no_triangles`, `mesh_file.empty`,
     `mesh_file.not_finite`, `mesh_file.too_large`.
     """
@@ -87,7 +87,7 @@ def read_glb(path: Path) -> GivenMesh:
         raise _refused(
             "mesh_file.unreadable",
             path,
-            f"is no whole GLB ({type(error).__name__}: {str(error)[:100]})",
+            f"is not a whole GLB ({type(error).__name__}: {str(error)[:100]})",
             'export it again as "glTF Binary (.glb)", with everything inside the file',
         ) from error
 
@@ -144,7 +144,7 @@ def _check_size(path: Path, document: dict[str, Any]) -> None:
                 document["accessors"][primitive["indices"]]["count"] if "indices" in primitive else stated
             )
             if not (isinstance(stated, int) and isinstance(corners, int)):
-                raise ValueError("an accessor has a count that is no number")
+                raise ValueError("an accessor has a count that is not a number")
             listed = primitive.get("mode", _TRIANGLES) == _TRIANGLES
             faces += max(0, corners // 3 if listed else corners - 2)
             vertices += max(0, stated)
@@ -351,14 +351,14 @@ def _ignored(document: dict[str, Any]) -> tuple[str, ...]:
     """Return what changes how the file looks elsewhere and has no counterpart in a bundle."""
     materials = document.get("materials", [])
     primitives = [p for mesh in document.get("meshes", []) for p in mesh["primitives"]]
-    found = {
+    present = {
         "vertex colours": any("COLOR_0" in p["attributes"] for p in primitives),
         "emission": any(any(m.get("emissiveFactor", ())) for m in materials),
         "transparency": any(m.get("alphaMode", "OPAQUE") != "OPAQUE" for m in materials),
         "animations": bool(document.get("animations")),
         "material extensions": any(m.get("extensions") for m in materials),
     }
-    return tuple(name for name, there in found.items() if there)
+    return tuple(name for name, there in present.items() if there)
 
 
 def _refused(code: str, path: Path, what: str, advice: str) -> UsageError:

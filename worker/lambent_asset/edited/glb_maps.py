@@ -63,19 +63,19 @@ class Maps:
     def albedo_at(self, uv: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the albedo [place, 3] at texture coordinates [place, 2], linear, 0..1."""
         if self.albedo is None:
-            found = np.ones((len(uv), 3), np.float32)
+            colour = np.ones((len(uv), 3), np.float32)
         else:
-            found = sampled(self.albedo, uv, _LINEAR)
-        return np.clip(found * self.albedo_factor, 0.0, 1.0).astype(np.float32)
+            colour = sampled(self.albedo, uv, _LINEAR)
+        return np.clip(colour * self.albedo_factor, 0.0, 1.0).astype(np.float32)
 
     def gloss_at(self, uv: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return perceptual roughness and metalness, [place, 1] each."""
         if self.packed is None:
-            found = np.ones((len(uv), 3), np.float32)
+            packed = np.ones((len(uv), 3), np.float32)
         else:
-            found = sampled(self.packed, uv, _LEVELS)
-        roughness = np.clip(found[:, 1:2] * self.perceptual_roughness_factor, LEAST_ROUGHNESS, 1.0)
-        return roughness.astype(np.float32), np.clip(found[:, 2:3] * self.metalness_factor, 0.0, 1.0)
+            packed = sampled(self.packed, uv, _LEVELS)
+        roughness = np.clip(packed[:, 1:2] * self.perceptual_roughness_factor, LEAST_ROUGHNESS, 1.0)
+        return roughness.astype(np.float32), np.clip(packed[:, 2:3] * self.metalness_factor, 0.0, 1.0)
 
     def normal_at(self, uv: NDArray[np.float32]) -> NDArray[np.float32] | None:
         """Return tangent-space normals [place, 3], not unit, or None without a normal map."""
@@ -92,11 +92,11 @@ def sampled(
 
     Levels of 8 bits are what `table` [256] says before they are interpolated.
     """
-    found = np.empty((len(uv), picture.shape[2]), np.float32)
+    values = np.empty((len(uv), picture.shape[2]), np.float32)
     for start in range(0, len(uv), _PLACES_AT_ONCE):
         part = slice(start, start + _PLACES_AT_ONCE)
-        found[part] = _bilinear(picture, uv[part], table)
-    return found
+        values[part] = _bilinear(picture, uv[part], table)
+    return values
 
 
 def _bilinear(picture: Picture, uv: NDArray[np.floating], table: NDArray[np.float32]) -> NDArray[np.floating]:
@@ -146,10 +146,10 @@ def maps_of(document: dict[str, Any], payload: bytes, number: int, *, has_uv: bo
     colour = np.array(surface.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0)), np.float32)
     factors = (surface.get("roughnessFactor", 1.0), surface.get("metallicFactor", 1.0))
     if colour.shape != (4,) or not np.isfinite([*colour, *factors]).all():
-        raise ValueError("a material has factors that are no numbers")
+        raise ValueError("a material has factors that are not numbers")
     scale = float(material["normalTexture"].get("scale", 1.0)) if "normal" in pictures else 1.0
     if not np.isfinite(scale):
-        raise ValueError("a normal map has a scale that is no number")
+        raise ValueError("a normal map has a scale that is not a number")
     return Maps(
         albedo_factor=colour[:3],
         perceptual_roughness_factor=float(factors[0]),
@@ -177,4 +177,4 @@ def _picture(document: dict[str, Any], payload: bytes, slot: dict[str, Any]) -> 
                 raise ValueError(f"a texture of {opened.size[0]} x {opened.size[1]} pixels")
             return np.asarray(opened.convert("RGB"))
     except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ValueError(f"a texture is no whole {', '.join(_FORMATS)} file") from error
+        raise ValueError(f"a texture is not a whole {', '.join(_FORMATS)} file") from error

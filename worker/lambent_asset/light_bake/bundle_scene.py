@@ -129,10 +129,10 @@ class BundleScene:
 
     def materials(self, positions: Float[Tensor, "points 3"]) -> Materials:
         """Return the materials at points, with the albedo ratio applied."""
-        found = self.caches.material(positions.numpy())
-        albedo = (torch.from_numpy(found.albedo) * self.albedo_ratio).clamp(0.0, 1.0)
-        alpha = torch.from_numpy(found.perceptual_roughness).square()
-        return Materials(albedo, alpha, torch.from_numpy(found.metalness))
+        stored = self.caches.material(positions.numpy())
+        albedo = (torch.from_numpy(stored.albedo) * self.albedo_ratio).clamp(0.0, 1.0)
+        alpha = torch.from_numpy(stored.perceptual_roughness).square()
+        return Materials(albedo, alpha, torch.from_numpy(stored.metalness))
 
 
 def bundle_scene(bundle: Bundle, albedo_ratio: Float[Tensor, "3"], *, num_threads: int) -> BundleScene:

@@ -41,8 +41,8 @@ class Errors:
     def figures(self, light: str) -> Mapping[str, float]:
         """Return the errors by their names among a manifest's metrics."""
         adapted, transport = error_names(light)
-        found = {adapted: self.adapted}
-        return found if self.transport is None else {**found, transport: self.transport}
+        named = {adapted: self.adapted}
+        return named if self.transport is None else {**named, transport: self.transport}
 
 
 @torch.no_grad()
@@ -63,8 +63,8 @@ def judged(stage: LightBake, transported: Answer | None) -> Errors:
             for _ in range(2)
         )
         for name, answer in answers.items():
-            found = answer(rays)
-            squares[name] += float(((found - one) * (found - other)).double().sum())
+            answered = answer(rays)
+            squares[name] += float(((answered - one) * (answered - other)).double().sum())
         total += float((0.5 * (one + other)).double().sum())
         count += one.numel()
     unit = max(total / max(count, 1), 1e-12)
@@ -85,7 +85,7 @@ def transported(bundle: Bundle, environment: Environment, light: AdaptedLight) -
     def radiance(rays: SecondaryRays) -> Tensor:
         origin, direction = rays.origins.cpu().numpy(), rays.directions.cpu().numpy()
         seen = renderer.caches.secondary(origin, direction)
-        found = seen.opacity * hits(origin + seen.distance * direction, -direction)
-        return torch.from_numpy(found).to(rays.origins)
+        arriving = seen.opacity * hits(origin + seen.distance * direction, -direction)
+        return torch.from_numpy(arriving).to(rays.origins)
 
     return radiance

@@ -212,8 +212,8 @@ def without_hidden(
     for camera in _around(vertices):
         if seen[piece].all():
             break
-        found = rasterise(vertices, faces, camera)
-        seen[piece[found.face[found.covered]]] = True
+        fragments = rasterise(vertices, faces, camera)
+        seen[piece[fragments.face[fragments.covered]]] = True
     return compact(vertices, faces[seen[piece]])
 
 

@@ -10,7 +10,7 @@ from lambent_asset.mesh.mesh import Mesh, compact
 TOLERANCE_CELLS = 0.3
 """Distance of the fine mesh from the simplified one that is accepted, in cells.
 
-A cell is no smaller than half a pixel of the photographs; noise of the density is about as large."""
+A cell is at least half a pixel of the photographs; noise of the density is about as large."""
 TOLERATED_SHARE = 0.99
 """Share of the fine mesh's vertices that keep the tolerance."""
 NUM_CHECKED = 20_000
@@ -61,9 +61,9 @@ def adapted(mesh: Mesh, max_faces: int, tolerance: float) -> tuple[Mesh, float]:
     # Distances fall with the number of triangles, nearly always; where they do not, more triangles are kept.
     while error <= tolerance and high > STEP * low:
         middle = int(np.sqrt(float(low) * high))
-        found, distance = reduced(mesh, middle)
+        fewer, distance = reduced(mesh, middle)
         if distance <= tolerance:
-            best, error, high = found, distance, middle
+            best, error, high = fewer, distance, middle
         else:
             low = middle
     return best, error
@@ -71,11 +71,11 @@ def adapted(mesh: Mesh, max_faces: int, tolerance: float) -> tuple[Mesh, float]:
 
 def reduced(mesh: Mesh, num_faces: int) -> tuple[Mesh, float]:
     """Return the mesh with about `num_faces` triangles, and its distance as in `adapted`."""
-    found = simplified(mesh, num_faces)
+    fewer = simplified(mesh, num_faces)
     random = np.random.default_rng(SEED)
     some = random.choice(len(mesh.vertices), min(NUM_CHECKED, len(mesh.vertices)), replace=False)
-    away = distance_to_surface(mesh.vertices[some], found)
-    return found, float(np.quantile(away, TOLERATED_SHARE))
+    away = distance_to_surface(mesh.vertices[some], fewer)
+    return fewer, float(np.quantile(away, TOLERATED_SHARE))
 
 
 def distance_to_surface(points: NDArray[np.floating], mesh: Mesh) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""How far the mesh lies from the volume it was made from, as photographs see both."""
+"""Distance between a mesh and the volume it was made from, as photographs see both."""
 
 from dataclasses import dataclass, fields
 
@@ -53,17 +53,17 @@ def depth_agreement(
     `views` count with their own pixels: those that the model was trained with.
     """
     random = np.random.default_rng(seed)
-    found = {view.name: _of_view(model, vertices, faces, view, random) for view in views}
-    found = {name: apart for name, apart in found.items() if len(apart)}
-    if not found:
+    by_view = {view.name: _of_view(model, vertices, faces, view, random) for view in views}
+    by_view = {name: apart for name, apart in by_view.items() if len(apart)}
+    if not by_view:
         return None
-    together = np.concatenate(list(found.values()))
-    worst = max(found, key=lambda name: float(np.quantile(found[name], 0.95)))
+    together = np.concatenate(list(by_view.values()))
+    worst = max(by_view, key=lambda name: float(np.quantile(by_view[name], 0.95)))
     return DepthAgreement(
         median=float(np.median(together)),
         p95=float(np.quantile(together, 0.95)),
         worst_view=worst,
-        worst_p95=float(np.quantile(found[worst], 0.95)),
+        worst_p95=float(np.quantile(by_view[worst], 0.95)),
     )
 
 
@@ -98,7 +98,7 @@ def _of_view(
 def median_distance(model: InverseModel, rays: Rays) -> Float[Tensor, "rays 2"]:
     """Return opacity, and the distance before which half of it lies, scene units, as the model is traced.
 
-    The half, and not the mean: where a ray passes an edge and goes on to what is behind, the mean lies
+    The half, and not the mean: where a ray passes an edge and reaches what is behind, the mean lies
     between the two, where nothing is. Weights count as evenly spread over their intervals.
     """
     geometry = model.nerf.trace(rays, generator=None)

@@ -1,4 +1,4 @@
-"""Whether a mesh is closed, and how its shape compares with the volume it was made from."""
+"""Open edges and separate pieces of a mesh."""
 
 from dataclasses import dataclass
 

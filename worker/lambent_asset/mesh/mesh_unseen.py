@@ -72,7 +72,7 @@ def _shown(
     """Return which vertices one picture shows; `flat` are the unit normals of the triangles."""
     camera = relight_camera(view.name, view.camera)
     camera = camera.resized(camera.width * FINER, camera.height * FINER)
-    found = rasterise(mesh.vertices, mesh.faces, camera)
+    fragments = rasterise(mesh.vertices, mesh.faces, camera)
     pose = camera.camera_to_world
     towards = pose[:3, 3] - mesh.vertices.astype(np.float64)
     away = np.linalg.norm(towards, axis=1)
@@ -84,12 +84,12 @@ def _shown(
     inside = front & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
     pixel = row[inside].astype(int), column[inside].astype(int)
     reached = np.full(len(away), -np.inf)
-    reached[inside] = found.depth[pixel]
+    reached[inside] = fragments.depth[pixel]
     opaque = np.zeros(len(away), bool)
     opaque[inside] = _alpha(view)[tuple(axis // FINER for axis in pixel)] > 0.5
     # The other side of something thin lies as near behind what is shown.
     alike = np.zeros(len(away), bool)
-    alike[inside] = (normals[inside] * flat[found.face[pixel]]).sum(-1) > LIKE_COSINE
+    alike[inside] = (normals[inside] * flat[fragments.face[pixel]]).sum(-1) > LIKE_COSINE
     facing = (towards * normals).sum(-1) > LEAST_COSINE * away
     # A vertex beside the outline, in a pixel that shows nothing, says nothing: it may lie behind.
     return opaque & np.isfinite(reached) & alike & facing & (away < reached + HIDDEN_CELLS * mesh.cell)

@@ -32,7 +32,7 @@ has more."""
 ROWS_AT_ONCE = 256
 LEAST_WEIGHT = 1e-3
 _LEAST_GAIN = 0.02
-"""Radiance of white at which albedo cannot be told any more, relative to the surface's mean."""
+"""Radiance of white below which albedo cannot be measured, relative to the surface's mean."""
 _MOST_OFFSET = 0.7
 """Share of the observed radiance that a predicted reflection may take."""
 _GLOSS = (0.25, 0.5)
@@ -72,8 +72,8 @@ def automatic_size(surface: AtlasSurface, pixel: float, tier: str) -> int:
 
 def fine_texels(surface: AtlasSurface, size: int) -> FineTexels:
     """Return the covered texels of a texture of `size` texels a side, on the trained surface."""
-    found = rasterise_uv(surface.uv, surface.faces, size)
-    index = np.flatnonzero(found.covered).astype(np.int32)
+    fragments = rasterise_uv(surface.uv, surface.faces, size)
+    index = np.flatnonzero(fragments.covered).astype(np.int32)
     coarse = rasterise_uv(surface.uv, surface.faces, surface.size)
     moved = surface.positions - interpolate(coarse, surface.faces, surface.vertices)
     moved = moved[nearest_texel(surface.texel_index, surface.size)]
@@ -81,7 +81,7 @@ def fine_texels(surface: AtlasSurface, size: int) -> FineTexels:
     texels, first = FineTexels(size, index, positions), 0
     for row in range(0, size, ROWS_AT_ONCE):
         band = slice(row, row + ROWS_AT_ONCE)
-        part = Fragments(found.face[band], found.barycentric[band], found.depth[band])
+        part = Fragments(fragments.face[band], fragments.barycentric[band], fragments.depth[band])
         on_mesh = interpolate(part, surface.faces, surface.vertices)
         rows = slice(first, first + len(on_mesh))
         positions[rows] = on_mesh + bilinear(moved, texels.uv(rows))
@@ -146,13 +146,13 @@ def albedo_texture(
 
 def observe(photograph: Photograph, lit: LitSurface, nodes: Nodes, mesh: Mesh, texel: float) -> Observations:
     """Return what a photograph says about the nodes, for a texture with texels of `texel` scene units."""
-    found = photograph.see(nodes.positions, nodes.normals, mesh)
-    node = np.flatnonzero(found.visible).astype(np.int32)
-    places, resolution = found.places[node], found.resolution[node]
+    points = photograph.see(nodes.positions, nodes.normals, mesh)
+    node = np.flatnonzero(points.visible).astype(np.int32)
+    places, resolution = points.places[node], points.resolution[node]
     scale = float(np.median(resolution)) if len(node) else 0.0
     fine, coarse = photograph.reduced(texel * scale), photograph.reduced(nodes.spacing * scale)
     observed = coarse.at(places)
-    gain, offset = lit.linear_in_albedo(nodes.texel[node], found.omega_o[node])
+    gain, offset = lit.linear_in_albedo(nodes.texel[node], points.omega_o[node])
     offset = np.minimum(offset, _MOST_OFFSET * observed)
     bright = gain.mean(axis=1)
     trust = bright / (bright + offset.mean(axis=1) + _LEAST_GAIN * max(float(lit.diffuse.mean()), 1e-6))
@@ -208,8 +208,8 @@ def add_detail(
         places, _ = photograph.project(fine.positions[here])
         observed = level.sharp_at(places)
         reflected = np.minimum(values[:, 6:], _MOST_OFFSET * observed)
-        found = (observed - reflected) / np.maximum(values[:, 3:6], least) * values[:, :3]
-        total[here] += share[some, None] * np.clip(found, 0.0, 1.0)
+        albedo = (observed - reflected) / np.maximum(values[:, 3:6], least) * values[:, :3]
+        total[here] += share[some, None] * np.clip(albedo, 0.0, 1.0)
         weight[here] += share[some]
 
 

@@ -1,4 +1,4 @@
-"""Which photograph gives the detail of which part of the surface, and at which level.
+"""Choice of the photograph that gives the detail of each part of the surface, and of its level.
 
 Each node compares what all photographs say about its albedo. One that disagrees with their median (a
 highlight, a passer-by, a wrong pose) or is less sharp than others counts less. Detail comes from one
@@ -61,18 +61,18 @@ def choose(nodes: Nodes, seen: list[Observations], model_albedo: Float32[ndarray
         return []
     count, views = len(nodes.texel), len(seen)
     scores = np.zeros((count, views), np.float32)
-    for k, (found, sharpness) in enumerate(zip(seen, _sharpness(count, seen), strict=True)):
-        scores[found.node, k] = sharpness * found.trust * np.minimum(found.resolution, _SHARPEST)
+    for k, (observed, sharpness) in enumerate(zip(seen, _sharpness(count, seen), strict=True)):
+        scores[observed.node, k] = sharpness * observed.trust * np.minimum(observed.resolution, _SHARPEST)
     agreement = _agreement(nodes, seen, scores)
     scores *= agreement
     chosen = _labels(nodes, scores)
     weights = _faded(nodes, scores > 0.0, chosen)
     choices = []
-    for k, found in enumerate(seen):
+    for k, observed in enumerate(seen):
         trust = np.zeros((count, 1), np.float32)
-        trust[found.node, 0] = agreement[found.node, k] * np.maximum(found.trust, 1e-3)
+        trust[observed.node, 0] = agreement[observed.node, k] * np.maximum(observed.trust, 1e-3)
         said = np.zeros((count, 3), np.float32)
-        said[found.node] = found.albedo
+        said[observed.node] = observed.albedo
         level = levels(nodes, said, model_albedo, trust)
         choices.append(Choice(weights[:, k], level))
     return choices
@@ -93,15 +93,15 @@ def levels(
 def _sharpness(count: int, seen: list[Observations]) -> list[float]:
     """Return the detail of each photograph relative to that of all at the same nodes, 0.04..1."""
     total, number = np.zeros(count), np.zeros(count)
-    for found in seen:
-        total[found.node] += found.detail
-        number[found.node] += 1.0
+    for observed in seen:
+        total[observed.node] += observed.detail
+        number[observed.node] += 1.0
     result = []
-    for found in seen:
-        both = number[found.node] > 1.0
-        mean = (total[found.node] / np.maximum(number[found.node], 1.0))[both]
+    for observed in seen:
+        both = number[observed.node] > 1.0
+        mean = (total[observed.node] / np.maximum(number[observed.node], 1.0))[both]
         # Detail decides where there is some: noise looks alike in all photographs.
-        own = float((found.detail[both] * mean).sum() / max(float((mean * mean).sum()), 1e-12))
+        own = float((observed.detail[both] * mean).sum() / max(float((mean * mean).sum()), 1e-12))
         result.append(min(1.0, max(0.2, own)) ** 2 if both.any() else 1.0)
     return result
 
@@ -111,8 +111,8 @@ def _agreement(
 ) -> Float32[ndarray, "nodes views"]:
     """Return how well each photograph agrees with the weighted median of all, 0..1."""
     said = np.full(scores.shape, np.nan, np.float32)
-    for k, found in enumerate(seen):
-        said[found.node, k] = np.log(np.maximum(found.albedo.mean(axis=1), 1e-3))
+    for k, observed in enumerate(seen):
+        said[observed.node, k] = np.log(np.maximum(observed.albedo.mean(axis=1), 1e-3))
     middle = weighted_median(said, scores)
     apart = np.abs(said - middle[:, None])
     there = np.isfinite(apart)
@@ -122,7 +122,7 @@ def _agreement(
         float(np.median(apart[there[:, k], k])) if there[:, k].any() else 0.0 for k in range(len(seen))
     ]
     usual = max(float(np.median(medians)), 0.02)
-    # A photograph that is apart everywhere is badly posed, or of another light.
+    # A photograph that differs everywhere is badly posed, or of another light.
     worse = np.array([min(1.0, usual / max(value, 1e-6)) ** 2 for value in medians], np.float32)
     return np.where(there, agreement * worse, 0.0).astype(np.float32)
 
@@ -135,8 +135,8 @@ def weighted_median(
     order = np.argsort(np.where(np.isfinite(values), values, np.inf), axis=1)
     reached = np.cumsum(np.take_along_axis(weights, order, axis=1), axis=1)
     place = (reached < 0.5 * reached[:, -1:]).sum(axis=1).clip(max=values.shape[1] - 1)
-    found = np.take_along_axis(values, np.take_along_axis(order, place[:, None], axis=1), axis=1)[:, 0]
-    return np.where(reached[:, -1] > 0.0, np.nan_to_num(found), 0.0).astype(np.float32)
+    median = np.take_along_axis(values, np.take_along_axis(order, place[:, None], axis=1), axis=1)[:, 0]
+    return np.where(reached[:, -1] > 0.0, np.nan_to_num(median), 0.0).astype(np.float32)
 
 
 def _labels(nodes: Nodes, scores: Float32[ndarray, "nodes views"]) -> Int[ndarray, " nodes"]:

@@ -1,4 +1,4 @@
-"""What turns albedo into radiance at the texels of a surface, from baked transport and the recovered light.
+"""Shading of the texels of a surface, from baked transport and the recovered light.
 
 With metalness m, F0 = m albedo + (1 - m) 0.04: outgoing radiance is linear in albedo,
 

@@ -1,4 +1,4 @@
-"""What one photograph shows of a surface: which points, from where, how large, and in which colours.
+"""One photograph of a surface: the points it shows, from where, how large, and in which colours.
 
 Pictures are reduced by whole factors to about the size at which they are looked up, by means over blocks.
 """

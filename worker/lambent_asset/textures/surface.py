@@ -92,14 +92,14 @@ def build_surface(
     on_surface = settled(model, mesh.vertices, plain, mesh.cell)
     normals = upright(learned_normals(model, on_surface), plain)
     normals = np.where(shape.unseen[:, None], plain, normals)[charts.source]
-    found = rasterise_uv(charts.uv, charts.faces, size)
-    index = np.flatnonzero(found.covered).astype(np.int32)
+    fragments = rasterise_uv(charts.uv, charts.faces, size)
+    index = np.flatnonzero(fragments.covered).astype(np.int32)
     if not len(index):
         raise WorkerError("export.atlas", "no texel is covered by the surface; raise export.transport_size")
-    outwards = unit(interpolate(found, charts.faces, plain[charts.source]))
-    on_mesh = interpolate(found, charts.faces, vertices)
+    outwards = unit(interpolate(fragments, charts.faces, plain[charts.source]))
+    on_mesh = interpolate(fragments, charts.faces, vertices)
     unknown = shape.unseen[charts.source].astype(np.float32)[:, None]
-    unseen = interpolate(found, charts.faces, unknown)[:, 0] > 0.5
+    unseen = interpolate(fragments, charts.faces, unknown)[:, 0] > 0.5
     positions = np.where(unseen[:, None], on_mesh, settled(model, on_mesh, outwards, mesh.cell))
     learned = upright(learned_normals(model, positions), outwards)
     return AtlasSurface(

@@ -53,16 +53,16 @@ def bake_materials(
     `albedo` is a texture of another size that takes the place of the model's.
     """
     owner = nearest_texel(surface.texel_index, surface.size)
-    found = _materials(model, surface.positions)
+    planes = _materials(model, surface.positions)
     if len(surface.unseen):
-        found = {
+        planes = {
             name: plain_where_unseen(values, surface.positions, surface.unseen)
-            for name, values in found.items()
+            for name, values in planes.items()
         }
     return TextureSet(
-        albedo=found["albedo"][owner] if albedo is None else albedo,
-        perceptual_roughness=found["perceptual_roughness"][owner],
-        metalness=found["metalness"][owner],
+        albedo=planes["albedo"][owner] if albedo is None else albedo,
+        perceptual_roughness=planes["perceptual_roughness"][owner],
+        metalness=planes["metalness"][owner],
         occlusion=np.clip(occlusion, 0.0, 1.0).astype(np.float32).reshape(-1, 1)[owner],
         tangent_normal=tangent_normals(surface)[owner],
     )
@@ -95,9 +95,9 @@ def _materials(model: InverseModel, positions: NDArray[np.float32]) -> dict[str,
     device = next(model.parameters()).device
     parts = []
     for start in range(0, len(positions), CHUNK_POINTS):
-        found = model.materials(torch.from_numpy(positions[start : start + CHUNK_POINTS]).to(device))
-        roughness = perceptual_roughness_from_alpha(found.alpha)
-        parts.append((found.albedo.cpu(), roughness.cpu(), found.metalness.cpu()))
+        materials = model.materials(torch.from_numpy(positions[start : start + CHUNK_POINTS]).to(device))
+        roughness = perceptual_roughness_from_alpha(materials.alpha)
+        parts.append((materials.albedo.cpu(), roughness.cpu(), materials.metalness.cpu()))
     names = ("albedo", "perceptual_roughness", "metalness")
     return {
         name: torch.cat([part[k] for part in parts]).numpy().reshape(len(positions), -1)

@@ -91,11 +91,11 @@ def parse_variants(items: Sequence[str]) -> tuple[Variant, ...]:
     An item is a name of `flashcache.ablations`, "paper", "all", several with commas, or
     `NAME:KEY=VALUE;KEY=VALUE` for custom settings. Raises `UsageError` for anything else.
     """
-    found = {FULL: Variant(name=FULL, label=ABLATIONS[FULL].label)}
+    variants = {FULL: Variant(name=FULL, label=ABLATIONS[FULL].label)}
     for item in items:
         if ":" in item:
             own = _own_variant(item)
-            found[own.name] = own
+            variants[own.name] = own
             continue
         for name in item.split(","):
             members = GROUPS.get(name, (name,))
@@ -106,8 +106,8 @@ def parse_variants(items: Sequence[str]) -> tuple[Variant, ...]:
                     f'--ablations "{name}" is none of {", ".join((*GROUPS, *ABLATIONS))}, and no '
                     "NAME:KEY=VALUE;KEY=VALUE either",
                 )
-            found |= {member: Variant(name=member, label=ABLATIONS[member].label) for member in members}
-    return tuple(found.values())
+            variants |= {member: Variant(name=member, label=ABLATIONS[member].label) for member in members}
+    return tuple(variants.values())
 
 
 def _own_variant(item: str) -> Variant:

@@ -47,14 +47,14 @@ Metrics = dict[str, tuple[float, float]]
 
 def finished(cells: Iterable[Cell], out: Path) -> list[tuple[Cell, Metrics]]:
     """Return the finished cells with their metrics."""
-    found = []
+    results = []
     for cell in cells:
         record = read_record(out / "cells" / cell.name / RESULT)
         if record.get("inputs") == cell.inputs:
             rows = record["report"]["metrics"]
             values = {row["name"]: (float(row["value"]), float(row["standard_error"])) for row in rows}
-            found.append((cell, values))
-    return found
+            results.append((cell, values))
+    return results
 
 
 def scene_rows(results: Sequence[tuple[Cell, Metrics]]) -> list[Row]:
@@ -85,11 +85,11 @@ def scene_rows(results: Sequence[tuple[Cell, Metrics]]) -> list[Row]:
     return rows
 
 
-def _over_seeds(found: Sequence[tuple[float, float]]) -> Value:
-    numbers = np.array([value for value, _ in found])
-    if len(found) == 1:
-        return Value(float(numbers[0]), found[0][1] or None, VIEWS, 1)
-    return Value(float(numbers.mean()), _standard_error(numbers), SEEDS, len(found))
+def _over_seeds(runs: Sequence[tuple[float, float]]) -> Value:
+    numbers = np.array([value for value, _ in runs])
+    if len(runs) == 1:
+        return Value(float(numbers[0]), runs[0][1] or None, VIEWS, 1)
+    return Value(float(numbers.mean()), _standard_error(numbers), SEEDS, len(runs))
 
 
 def average_rows(rows: Sequence[Row]) -> list[Row]:
@@ -99,7 +99,7 @@ def average_rows(rows: Sequence[Row]) -> list[Row]:
     error combines those of the scenes and says nothing about other scenes.
     """
     keys = list(dict.fromkeys((row.layout, row.group, row.setting) for row in rows))
-    found = []
+    averages = []
     for layout, group, setting in keys:
         members = [row for row in rows if (row.layout, row.group, row.setting) == (layout, group, setting)]
         by_ablation = {
@@ -113,16 +113,16 @@ def average_rows(rows: Sequence[Row]) -> list[Row]:
             shared = [key for key in part[0].values if all(key in row.values for row in part)]
             values = {key: _over_scenes([row.values[key] for row in part]) for key in shared}
             runs = sum(row.num_runs for row in part)
-            found.append(Row("", group, layout, setting, name, part[0].label, runs, values))
-    return found
+            averages.append(Row("", group, layout, setting, name, part[0].label, runs, values))
+    return averages
 
 
-def _over_scenes(found: Sequence[Value]) -> Value:
-    mean = float(np.mean([value.mean for value in found]))
-    errors = [value.standard_error for value in found]
+def _over_scenes(values: Sequence[Value]) -> Value:
+    mean = float(np.mean([value.mean for value in values]))
+    errors = [value.standard_error for value in values]
     known = [error for error in errors if error is not None]
-    error = float(np.sqrt(np.sum(np.square(known))) / len(found)) if len(known) == len(found) else None
-    return Value(mean, error, found[0].over, len(found))
+    error = float(np.sqrt(np.sum(np.square(known))) / len(values)) if len(known) == len(values) else None
+    return Value(mean, error, values[0].over, len(values))
 
 
 def differences(results: Sequence[tuple[Cell, Metrics]], names: Sequence[str]) -> dict[str, dict[str, Value]]:
@@ -132,7 +132,7 @@ def differences(results: Sequence[tuple[Cell, Metrics]], names: Sequence[str]) -
     is over pairs, None for a single one.
     """
     full = {(c.scene, c.setting, c.seed): m for c, m in results if c.ablation == FULL}
-    found: dict[str, dict[str, list[float]]] = {}
+    gains: dict[str, dict[str, list[float]]] = {}
     for cell, metrics in results:
         other = full.get((cell.scene, cell.setting, cell.seed))
         if cell.ablation == FULL or other is None:
@@ -140,10 +140,10 @@ def differences(results: Sequence[tuple[Cell, Metrics]], names: Sequence[str]) -
         for name in names:
             if name in metrics and name in other:
                 gained = metrics[name][0] - other[name][0]
-                found.setdefault(cell.ablation, {}).setdefault(name, []).append(gained)
+                gains.setdefault(cell.ablation, {}).setdefault(name, []).append(gained)
     return {
         ablation: {name: _of_pairs(np.array(values)) for name, values in figures.items()}
-        for ablation, figures in found.items()
+        for ablation, figures in gains.items()
     }
 
 

@@ -43,24 +43,24 @@ class SuiteScene:
         if setting == "single":
             return self.lights[:1]
         if dataset_of(self.layout) == "openillumination":
-            found = tuple(light for light in PAPER_LIGHTS if light in self.lights)
+            lights = tuple(light for light in PAPER_LIGHTS if light in self.lights)
         else:
-            found = self.turned or self.lights
-        if len(found) < 2:
+            lights = self.turned or self.lights
+        if len(lights) < 2:
             raise UsageError(
                 "benchmark.one_light",
                 f'scene "{self.name}" was photographed in one light ({", ".join(self.lights)}); leave it '
                 "out, or ask for --lights single",
             )
-        return found
+        return lights
 
     @property
     def turned(self) -> tuple[str, ...]:
         """Return the lights that are rotations of one environment about +z; empty if there are none."""
         stems = {light: match[1] for light in self.lights if (match := _TURNED.match(light))}
         first = next(iter(stems.values()), "")
-        found = tuple(light for light, stem in stems.items() if stem == first)
-        return found if len(found) > 1 else ()
+        lights = tuple(light for light, stem in stems.items() if stem == first)
+        return lights if len(lights) > 1 else ()
 
 
 def find_scenes(suite: Path, names: tuple[str, ...]) -> list[SuiteScene]:

@@ -116,11 +116,11 @@ def _object_table(rows: Sequence[Row], averages: Sequence[Row]) -> str:
                 cells = _published_cells(published, OBJECT_COLUMNS)
                 lines.append([group or "other", scene, published.method, *cells])
             for ablation in dict.fromkeys(row.ablation for row in of_scene):
-                found: dict[str, Value] = {}
+                values: dict[str, Value] = {}
                 for row in of_scene:
                     if row.ablation == ablation:
-                        found |= row.values
-                cells = [_shown(find(found, name)) for _, name in OBJECT_COLUMNS]
+                        values |= row.values
+                cells = [_shown(find(values, name)) for _, name in OBJECT_COLUMNS]
                 lines.append([group or "other", scene or "mean", f"ours, {ablation}", *cells])
     head = ["group", "object", "method", *(title for title, _ in OBJECT_COLUMNS)]
     return f"## OpenIllumination\n\n{_table(head, lines)}"
@@ -193,11 +193,11 @@ def find(values: Mapping[str, Value], name: str) -> Value | None:
 
 
 def _published_cells(row: PublishedRow, columns: Sequence[tuple[str, str]]) -> list[str]:
-    found = []
+    cells = []
     for _, name in columns:
         value = row.values.get(f"{name}_vgg" if name.endswith("/lpips") else name)
-        found.append(NOTHING if value is None else f"{value:.3f}")
-    return found
+        cells.append(NOTHING if value is None else f"{value:.3f}")
+    return cells
 
 
 def _shown(value: Value | None, *, signed: bool = False) -> str:
@@ -242,12 +242,12 @@ def _plain(value: Value) -> list[Any]:
 def as_json(content: Content) -> str:
     """Return everything as JSON, the published figures included."""
 
-    def row(found: Row) -> dict[str, Any]:
-        record = asdict(found)
+    def row(item: Row) -> dict[str, Any]:
+        record = asdict(item)
         return record | {"lights": record.pop("setting"), "figures": record.pop("values")}
 
-    def published(found: PublishedRow) -> dict[str, Any]:
-        record = asdict(found)
+    def published(item: PublishedRow) -> dict[str, Any]:
+        record = asdict(item)
         return record | {"figures": record.pop("values")}
 
     tables = ("ablations", "tensoir_synthetic", "openillumination")

@@ -146,7 +146,7 @@ def _edit(spec: "RunSpec", out: Path, reporter: "ConsoleReporter", *, as_json: b
         _tell_prepared(spec, out, as_json=as_json)
     elif not as_json:
         typer.echo(f"{len(spec.corrections)} corrections are kept in {out}")
-        typer.echo(f"go on with: {train_command(spec.scene, out)}")
+        typer.echo(f"continue with: {train_command(spec.scene, out)}")
 
 
 def _tell_written(
@@ -192,7 +192,7 @@ def _tell_prepared(spec: "RunSpec", out: Path, *, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps(record))
         return
-    for line in (*lines, f"go on with: {train_command(spec.scene, out)}"):
+    for line in (*lines, f"continue with: {train_command(spec.scene, out)}"):
         typer.echo(line)
 
 

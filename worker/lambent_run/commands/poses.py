@@ -32,7 +32,7 @@ def poses(
 ) -> None:
     """Find cameras for photographs with COLMAP and write a capture that train and check take.
 
-    After Ctrl-C the same command goes on from there.
+    After Ctrl-C the same command continues from there.
     """
     from lambent_capture.poses.capture import solve_capture, summary
     from lambent_capture.poses.solve import PoseSettings
@@ -46,7 +46,7 @@ def poses(
     typer.echo(summary(record))
     for finding in record["findings"]:
         typer.echo(f"note: {finding['code']}: {finding['message']}")
-    typer.echo(f'go on with: lambent check "{out}"')
+    typer.echo(f'continue with: lambent check "{out}"')
 
 
 class ShownProgress:

@@ -69,7 +69,7 @@ def show_kept(
 def run_prepare(order: "Order") -> None:
     """Find cameras and masks, and publish previews with the order's corrections applied.
 
-    Masks that are not to be believed end no such job as long as a person can correct them; the previews say
+    Masks that are not credible do not end such a job as long as a person can correct them; the previews say
     why. Raises `SceneRefusedError` for an unusable capture, `UsageError` for corrections that have no effect.
     """
     from lambent_run.run.hashes import PREPARATION

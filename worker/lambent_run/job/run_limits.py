@@ -1,4 +1,4 @@
-"""What the pipeline of a run may use of its machine: limits that hold with and without a control group."""
+"""Limits on what the pipeline of a run may use of its machine, with and without a control group."""
 
 import ctypes
 import os

@@ -148,7 +148,7 @@ class ServerReporter:
                 if closing:
                     return
         except (FencedError, RefusedError, UnreachableError) as error:
-            # The pipeline's thread finds it when it asks whether to go on.
+            # The pipeline's thread finds it when it asks whether to stop.
             self.broken = error
             self._stop = True
 

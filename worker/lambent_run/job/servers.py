@@ -1,6 +1,6 @@
 """The servers that a run can reach, and the one it talks to: any answers, because they share the state.
 
-Addresses: `unix:/path`, `tls:host:port`, and `tcp:host:port` where somebody has allowed it.
+Addresses: `unix:/path`, `tls:host:port`, and `tcp:host:port` where an operator has allowed it.
 """
 
 import functools
@@ -35,11 +35,11 @@ _AWAY = frozenset({grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.DEADLINE_EXCEEDE
 
 
 class AwayError(Exception):
-    """The server at an address that was tried does not know this run: it belongs to somebody else."""
+    """The server at an address that was tried does not know this run: it is another installation."""
 
 
 class KnownServers(Protocol):
-    """What a run is told about its servers when it starts."""
+    """What a run knows about its servers when it starts."""
 
     @property
     def address(self) -> str: ...
@@ -151,7 +151,7 @@ class Servers:
         return self._connections[address]
 
     def _note(self, connection: _ServerConnection, error: grpc.RpcError) -> None:
-        """Go on to the next server if this one is away; raise AwayError if it belongs to somebody else."""
+        """Change servers if this one does not answer; raise AwayError if it does not know the run."""
         foreign = error.code() == grpc.StatusCode.UNAUTHENTICATED and connection.address != self._home
         if foreign or error.code() in _AWAY:
             with self._lock:

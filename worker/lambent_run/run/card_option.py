@@ -61,18 +61,18 @@ def look_for_photograph(scene: Path, card: GreyCard) -> None:
 
     Only the header of the file is read; a picture that is damaged is left to the check of the capture.
     """
-    found = [
+    paths = [
         path
         for path in (scene.rglob("*") if scene.is_dir() else ())
         if path.is_file() and is_named(path.relative_to(scene).as_posix(), card.photograph)
     ]
-    if not found:
+    if not paths:
         raise refused(
             "photograph_missing",
             f'"{scene}" holds no photograph "{card.photograph}"; give its name, or its path in the folder',
         )
     try:
-        sizes = [picture_size(path) for path in found]
+        sizes = [picture_size(path) for path in paths]
     except PictureError:
         return
     if not any(fits(card, size) or fits(card, size[::-1]) for size in sizes):

@@ -1,4 +1,4 @@
-"""Where a grey card lies among the pixels that are trained on, and whether it can be used there."""
+"""The pixels of a grey card among those that are trained on, and checks whether they can be used."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -108,22 +108,22 @@ def card_pixels(
 
 def frame_of(card: GreyCard, manifest: scene_pb2.SceneManifest) -> tuple[scene_pb2.Frame, scene_pb2.Image]:
     """Return the frame and picture of the card; raises `UsageError` where no used one, or several, fit."""
-    found = [
+    matches = [
         (frame, image)
         for frame in manifest.frames
         for image in frame.images
         if is_named(image.path, card.photograph)
     ]
-    if not found:
+    if not matches:
         raise refused(
             "photograph_unused",
-            f'"{card.photograph}" is none of the photographs that are used: it was left out, is no '
-            f"photograph of the object, or shows another light than {', '.join(manifest.lights)}",
+            f'"{card.photograph}" is none of the photographs that are used: it was left out, does not '
+            f"show the object, or shows another light than {', '.join(manifest.lights)}",
         )
-    if len(found) > 1:
-        paths = ", ".join(image.path for _, image in found[:3])
+    if len(matches) > 1:
+        paths = ", ".join(image.path for _, image in matches[:3])
         raise refused("photograph_ambiguous", f'"{card.photograph}" could be {paths}; give the path')
-    return found[0]
+    return matches[0]
 
 
 def box_turns(card: GreyCard, frame: scene_pb2.Frame, manifest: scene_pb2.SceneManifest) -> int:

@@ -77,7 +77,7 @@ class TaskContext:
 
     @property
     def folder(self) -> Path:
-        """Return the folder of this task; a checkpoint that lies there was made for the same run."""
+        """Return the folder of this task; a checkpoint in it was made for the same run."""
         return task_folder(self.run_dir, self.task)
 
     def progress(

@@ -44,7 +44,7 @@ def evaluate_run(
 ) -> evaluation_pb2.EvaluationReport:
     """Evaluate a trained run on the views of `scene_dir` and return what is in `out/report.json`.
 
-    Called again with the same arguments it keeps the pictures that are there. Raises `UsageError` for a run
+    Called again with the same arguments it keeps the pictures that exist. Raises `UsageError` for a run
     that is not trained, an environment folder without usable maps, or an `out` that holds something else, and
     `SceneRefusedError` for a scene that cannot be read.
     """
@@ -90,13 +90,13 @@ def read_maps(
         return {}
     if not folder.is_dir():
         raise UsageError("evaluate.environments_missing", f'--environments "{folder}" is not a folder')
-    found = maps_in(folder)
+    files = maps_in(folder)
     maps = {}
     for light in lights:
-        if light not in found:
+        if light not in files:
             continue
         try:
-            maps[light] = np.ascontiguousarray(load_environment(found[light]).radiance, dtype=np.float32)
+            maps[light] = np.ascontiguousarray(load_environment(files[light]).radiance, dtype=np.float32)
         except RelightError as error:
             raise UsageError("evaluate.environment_unreadable", str(error)) from error
     if not maps and needed:

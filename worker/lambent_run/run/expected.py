@@ -1,4 +1,4 @@
-"""How long the tasks of a run take compared with one another, from the sizes in their settings.
+"""Expected time of the tasks of a run relative to one another, from the sizes in their settings.
 
 Seconds are those of an AMD EPYC (Zen 4) of 2026; only their ratios count, because the time to go is scaled by
 the speed that a run has shown so far. The cost of a training step is that of decision 0022: a fixed part, and

@@ -99,8 +99,8 @@ def finish_task(run_dir: Path, task: str, inputs: str) -> None:
 
 def task_seconds(run_dir: Path) -> dict[str, float]:
     """Return the time in seconds that each task of a run has taken so far, over all sittings."""
-    found = {task: read_record(run_dir / "tasks" / f"{task}.inputs.json") for task in TASK_FOLDERS}
-    return {task: float(record["seconds"]) for task, record in found.items() if "seconds" in record}
+    records = {task: read_record(run_dir / "tasks" / f"{task}.inputs.json") for task in TASK_FOLDERS}
+    return {task: float(record["seconds"]) for task, record in records.items() if "seconds" in record}
 
 
 def _read_hash(path: Path) -> str | None:

@@ -20,26 +20,26 @@ ANY_LIGHT = ""
 def parse_known_lights(items: Sequence[str]) -> dict[str, Path]:
     """Return files by light from `FILE` or `LIGHT=FILE`; a bare file belongs to `ANY_LIGHT`.
 
-    Raises `UsageError` for a light given twice, and for files that are no environment maps.
+    Raises `UsageError` for a light given twice, and for files that are not environment maps.
     """
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for item in items:
         light, equals, name = item.partition("=")
         light, path = (light, Path(name)) if equals else (ANY_LIGHT, Path(item))
-        if light in found:
+        if light in files:
             raise UsageError("light.known_twice", f'--known-light "{item}": this light has a file already')
         try:
             load_environment(path)
         except RelightError as error:
             raise UsageError(error.code, f'--known-light "{item}": {error}') from error
-        found[light] = path
-    return found
+        files[light] = path
+    return files
 
 
 def kept_lights(files: Mapping[str, Path]) -> tuple[dict[str, str], dict[str, Path]]:
     """Return the name under which a run keeps each light's file, and the files by their place in the run.
 
-    The name is the file's SHA-256 with its suffix: the run goes on without the original, and knows another.
+    The name is the file's SHA-256 with its suffix: the run does without the original, and recognises another.
     """
     names = {light: file_sha256(path) + path.suffix.lower() for light, path in files.items()}
     return names, {f"{FOLDER}/{names[light]}": path for light, path in files.items()}

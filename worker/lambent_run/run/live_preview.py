@@ -112,8 +112,8 @@ def seen_middle(
         torch.tensor([(camera.centre_x, camera.centre_y) for camera in cameras], dtype=torch.float64),
         torch.from_numpy(np.stack([camera.camera_to_world for camera in cameras])),
     )
-    found = looked_at_point(np.stack([camera.position for camera in cameras]), directions.numpy())
-    return (low + high) / 2.0 if found is None else np.clip(found, low, high)
+    point = looked_at_point(np.stack([camera.position for camera in cameras]), directions.numpy())
+    return (low + high) / 2.0 if point is None else np.clip(point, low, high)
 
 
 def photographed_arc(azimuths_deg: ndarray) -> tuple[float, float] | None:
@@ -190,7 +190,7 @@ def turned_picture(model: InverseModel, camera: Camera) -> Float32[ndarray, "hei
         values[some] = torch.cat([colour, opacity[:, None]], dim=-1)
 
     on_all_cores(fill, hits.split(CHUNK_RAYS) if len(hits) else (), device)
-    found = values.reshape(camera.height, camera.width, 4).nan_to_num().cpu().numpy()
-    opacity = np.clip(found[..., 3:], 0.0, 1.0)
-    straight = np.maximum(found[..., :3], 0.0) / np.maximum(opacity, 1e-3)
+    rgba = values.reshape(camera.height, camera.width, 4).nan_to_num().cpu().numpy()
+    opacity = np.clip(rgba[..., 3:], 0.0, 1.0)
+    straight = np.maximum(rgba[..., :3], 0.0) / np.maximum(opacity, 1e-3)
     return figures.picture(encoded(straight, opacity).astype(np.float64)).astype(np.float32)

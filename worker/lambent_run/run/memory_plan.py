@@ -11,19 +11,19 @@ GIB = 2**30
 def plan(config: Config, *, num_lights: int, device: str) -> dict[str, Any]:
     """Return the sizes of both stages of a run; memory in bytes."""
     stages = {}
-    for found in estimate(config, num_lights=num_lights, device=device or "cpu"):
-        settings = config.stage_one if found.stage == "cache" else config.stage_two
-        stages[found.stage] = {
+    for memory in estimate(config, num_lights=num_lights, device=device or "cpu"):
+        settings = config.stage_one if memory.stage == "cache" else config.stage_two
+        stages[memory.stage] = {
             "num_steps": settings.num_steps,
-            "num_distil_steps": 0 if found.stage == "cache" else config.stage_two.distil.num_steps,
+            "num_distil_steps": 0 if memory.stage == "cache" else config.stage_two.distil.num_steps,
             "num_rays": settings.num_rays,
-            "parameters_bytes": found.parameters,
-            "gradients_bytes": found.gradients,
-            "moments_bytes": found.moments,
-            "activations_bytes": found.activations,
-            "total_bytes": found.total,
+            "parameters_bytes": memory.parameters,
+            "gradients_bytes": memory.gradients,
+            "moments_bytes": memory.moments,
+            "activations_bytes": memory.activations,
+            "total_bytes": memory.total,
         }
-        num_parameters = found.num_parameters
+        num_parameters = memory.num_parameters
     return {
         "preset": config.preset,
         "device": device or "cpu",

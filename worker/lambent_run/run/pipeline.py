@@ -38,7 +38,7 @@ def run_pipeline(
 ) -> None:
     """Run `tasks` in order, leaving out those whose results are there already, and those of other captures.
 
-    A task that was interrupted goes on from its last checkpoint. A task whose inputs (scene, lights, the
+    A task that was interrupted continues from its last checkpoint. A task whose inputs (scene, lights, the
     settings it reads, an earlier task) have changed starts afresh. `checked` is the result of a
     check without layout or masks whose findings were reported already. Training is divided among `num_ranks`
     processes, with a GPU each where `device` is "cuda"; everything else uses the first. Raises `Stopped` when

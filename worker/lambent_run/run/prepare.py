@@ -95,10 +95,10 @@ def editing_of(run_dir: Path, reporter: Reporter) -> Editing:
     context = open_task(run_dir, "masks", reporter)
     if not needs_masks(context):
         raise unused_corrections("this capture brings its own")
-    found = masks.found_object(context)
-    if isinstance(found, str):
-        raise not_credible(found)
-    return Editing(found, masks.photographs(context))
+    workspace = masks.found_object(context)
+    if isinstance(workspace, str):
+        raise not_credible(workspace)
+    return Editing(workspace, masks.photographs(context))
 
 
 def check_device(device: str) -> None:
@@ -108,12 +108,12 @@ def check_device(device: str) -> None:
     import torch
 
     try:
-        found = torch.device(device).type in ("cpu", "cuda")
-        if found and torch.device(device).type == "cuda":
-            found = (torch.device(device).index or 0) < torch.cuda.device_count()
+        exists = torch.device(device).type in ("cpu", "cuda")
+        if exists and torch.device(device).type == "cuda":
+            exists = (torch.device(device).index or 0) < torch.cuda.device_count()
     except RuntimeError:
-        found = False
-    if not found:
+        exists = False
+    if not exists:
         raise UsageError(
             "device.not_found", f'--device "{device}" is not there; use cpu, or cuda where torch finds a GPU'
         )

@@ -20,7 +20,7 @@ from lambent_run.run.rank_processes import END, ENDED, SAFE, STOP, RankOrder
 def serve(descriptor: int) -> None:
     """Do what the process that started this one says over a socket, and end when it does."""
     end_with_parent(signal.SIGKILL)
-    # Whatever the whole group is told: the run decides when ranks end, and after which checkpoint.
+    # Whatever signals the whole group gets: the run decides when ranks end, and after which checkpoint.
     ignore(*GROUP_SIGNALS)
     prepare()
     starter = _Starter(Connection(descriptor))

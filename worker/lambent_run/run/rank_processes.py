@@ -36,7 +36,7 @@ MOST_LOSSES = 20
 MOST_LOSSES_IN_A_ROW = 3
 """The same without a checkpoint in between."""
 STOP, SAFE, END = "stop", "safe", "end"
-"""What ranks are told: to end after a checkpoint, that a checkpoint is kept, that all have finished."""
+"""Messages to ranks: to end after a checkpoint, that a checkpoint is kept, that all have finished."""
 ENDED = "ended"
 """What ranks say last, with the exception that ended them or None."""
 STEP_TIMEOUT_S = 600.0
@@ -233,7 +233,7 @@ class _Rank:
             self.connection.send(message)
 
     def heard(self) -> tuple[str, tuple[Any, ...], dict[str, Any]] | None:
-        """Return a report that is there, as a method of the reporter and its arguments.
+        """Return a waiting report, as a method of the reporter and its arguments.
 
         None for the end of the rank, which is noted.
         """

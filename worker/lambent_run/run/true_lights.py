@@ -34,11 +34,11 @@ def read_true_lights(
     120 degrees about +z. Maps too small to be compared do not count. Raises `UsageError` for a map that
     cannot be read.
     """
-    found: dict[str, Float32[ndarray, "rows columns 3"]] = {}
+    images: dict[str, Float32[ndarray, "rows columns 3"]] = {}
     for folder in folders:
         maps = maps_in(folder)
         for light in lights:
-            if light in found:
+            if light in images:
                 continue
             match = _TURNED.fullmatch(light)
             if light in maps:
@@ -48,8 +48,8 @@ def read_true_lights(
             else:
                 continue
             if image.shape[0] >= ROWS and image.shape[1] >= COLUMNS:
-                found[light] = np.ascontiguousarray(image, dtype=np.float32)
-    return found
+                images[light] = np.ascontiguousarray(image, dtype=np.float32)
+    return images
 
 
 def turned_about_z(
@@ -57,7 +57,7 @@ def turned_about_z(
 ) -> Float[ndarray, "rows columns 3"]:
     """Return the environment turned counter-clockwise as seen from above: L_deg(d) = L_0(R_z(-deg) d).
 
-    Where the angle is no whole number of columns, pixels are mixed with their neighbours.
+    Where the angle is not a whole number of columns, pixels are mixed with their neighbours.
     """
     columns = degrees / 360.0 * image.shape[1]
     whole = int(np.floor(columns))

@@ -23,10 +23,10 @@ def kept_uncertainty(run_dir: Path) -> UncertaintyGrid | None:
     path = task_folder(run_dir, "evaluate") / FILE
     if not path.is_file():
         return None
-    with np.load(path, allow_pickle=False) as found:
-        if str(found["trained"]) != _trained(run_dir):
+    with np.load(path, allow_pickle=False) as stored:
+        if str(stored["trained"]) != _trained(run_dir):
             return None
-        return UncertaintyGrid(found["low"], found["high"], found["values"], CHANNELS)
+        return UncertaintyGrid(stored["low"], stored["high"], stored["values"], CHANNELS)
 
 
 def keep_uncertainty(run_dir: Path, grid: UncertaintyGrid) -> None:

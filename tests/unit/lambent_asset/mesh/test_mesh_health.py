@@ -1,4 +1,4 @@
-"""What keeps a mesh from being closed."""
+"""Open edges and separate pieces of meshes."""
 
 import numpy as np
 from lambent_asset.mesh.mesh_health import MeshHealth, mesh_health

@@ -1,4 +1,4 @@
-"""What no photograph shows of a box: which part, how it is closed, and its colours."""
+"""The part of a box that no photograph shows: which it is, how it is closed, and its colours."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Which photograph gives the detail: the sharper one up to a limit, and none that is apart from others."""
+"""Detail comes from the sharper photograph up to a limit, and from none that differs from the others."""
 
 import numpy as np
 import pytest

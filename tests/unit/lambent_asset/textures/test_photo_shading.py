@@ -1,4 +1,4 @@
-"""What albedo is multiplied by to give radiance."""
+"""Factors from albedo to radiance."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What one photograph shows, in which colours, and where."""
+"""One photograph: what it shows, in which colours, and where."""
 
 from dataclasses import fields
 

@@ -61,7 +61,7 @@ def test_a_ray_that_meets_nothing_leaves_the_point_where_it_was(model, monkeypat
     monkeypatch.setattr(model.nerf.density, "density", lambda points: torch.zeros(len(points)))
     points = np.random.default_rng(2).normal(size=(10, 3)).astype(np.float32)
     outwards = np.tile(np.float32([0.0, 0.0, 1.0]), (10, 1))
-    # The mesh lies between two of the places that are asked.
+    # The mesh lies between two of the places where density is evaluated.
     assert np.abs(settled(model, points, outwards, 0.05) - points).max() < 0.05 * 0.3
 
 

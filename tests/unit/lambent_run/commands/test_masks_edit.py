@@ -29,7 +29,7 @@ def call(*arguments):
 
 @pytest.fixture
 def visits(monkeypatch, tmp_path):
-    """Let somebody who sends the corrections in the returned list press Done whenever a page is opened."""
+    """Let a user who sends the corrections in the returned list press Done whenever a page is opened."""
     sent = []
     (tmp_path / "masks.html").write_text("page")
 

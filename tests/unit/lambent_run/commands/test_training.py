@@ -85,7 +85,7 @@ REFUSED = scene_pb2.SceneReport(
     [
         (WorkerError("run.busy", "wait"), 1, "run.busy: wait"),
         (UsageError("run.x", "no"), 2, "run.x: no"),
-        (Stopped(), 130, "the same command goes on"),
+        (Stopped(), 130, "the same command continues"),
         (SceneRefusedError(REFUSED), 4, "1 problem(s) to fix first:\n  scene.x: fix it"),
         (ConfigError("too small"), 2, "config.invalid: too small"),
         (TrainingError("diverged"), 1, "training.failed: diverged"),

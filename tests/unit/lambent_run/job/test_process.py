@@ -108,7 +108,7 @@ def test_the_scene_lies_in_a_folder_of_its_name(
     folder = fetch_scene(connection, start, tmp_path / "scene")
     assert folder.name == "a_scene"
     assert (folder / "a" / "b.png").read_bytes() == b"picture"
-    # A file that is there and whole is not fetched again, a broken one is.
+    # A whole file is not fetched again, a broken one is.
     (folder / "a" / "b.png").write_bytes(b"broken")
     fetch_scene(connection, start, tmp_path / "scene")
     assert (folder / "a" / "b.png").read_bytes() == b"picture"

@@ -1,4 +1,4 @@
-"""The kinds render and batch of a run: pictures of bundles, resumed, split, and what is told of them."""
+"""The kinds render and batch of a run: pictures of bundles, resumed, split, and reported."""
 
 import csv
 import json
@@ -141,7 +141,7 @@ def test_what_sums_up_the_parts_makes_the_table_and_sheet_of_one_run(inputs, tmp
             with pytest.raises(UsageError, match=r"render\.all_failed"):
                 render_job.render_pictures(given)
         found = artifacts(part)
-        assert not {"contact_sheet.png", "pictures.csv"} & set(found), "a part is no whole"
+        assert not {"contact_sheet.png", "pictures.csv"} & set(found), "a part makes no summary"
         for name in {"pictures.jsonl", "tiles.zip"} & set(found):
             target = tmp_path / "last" / "parts" / f"{shard:03d}" / name
             target.parent.mkdir(parents=True, exist_ok=True)

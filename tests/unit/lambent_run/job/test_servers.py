@@ -1,4 +1,4 @@
-"""A run and its servers: it goes on with any that answers, and returns to its own."""
+"""A run and its servers: it continues with any that answers, and returns to its own."""
 
 import contextlib
 import time
@@ -150,7 +150,7 @@ def test_what_fences_a_run_does_so_wherever_it_is_said(tmp_path: Path):
 def test_a_stranger_at_an_address_of_before_does_not_end_a_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    # The stranger is asked first.
+    # The stranger comes first.
     monkeypatch.setattr(servers.random, "shuffle", lambda _: None)
     home, stranger, other = sockets(tmp_path, "home", "a_stranger", "other")
     with (

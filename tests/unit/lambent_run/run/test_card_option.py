@@ -1,4 +1,4 @@
-"""What a user says about a grey card is read, and mistakes are named before anything is trained."""
+"""The option for a grey card is read, and mistakes are named before anything is trained."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a run is expected to take, compared with what was measured."""
+"""Expected times of a run, compared with measured ones."""
 
 from dataclasses import replace
 

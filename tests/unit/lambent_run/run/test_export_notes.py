@@ -1,4 +1,4 @@
-"""What is told about a finished bundle."""
+"""Notes about a finished bundle."""
 
 import pytest
 from flashcache.config import ExportConfig

@@ -1,4 +1,4 @@
-"""What was brought from an earlier run is used where it was made from the same, and removed otherwise."""
+"""Results of an earlier run are used where they were made from the same inputs, and removed otherwise."""
 
 from pathlib import Path
 

@@ -183,6 +183,6 @@ def test_a_preview_that_cannot_be_made_does_not_end_the_training(tmp_path, monke
     monkeypatch.setattr("lambent_run.run.live_preview.LivePreview.show", fail)
     stage, told = trained(tmp_path, shown=True)
     assert stage.finished
-    # It is told once, and not tried again.
+    # It is logged once, and not tried again.
     (failed,) = told.named("previews.failed")
     assert "no room" in failed["reason"]

@@ -1,4 +1,4 @@
-"""Which masks a run has is part of what it is."""
+"""The masks of a run are part of its identity."""
 
 import pytest
 from lambent_core.errors import UsageError

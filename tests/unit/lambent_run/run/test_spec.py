@@ -1,4 +1,4 @@
-"""What a run was asked to do is the same from the command line, an order, and the folder it is kept in."""
+"""A run has one specification from the command line, an order, and the folder it is kept in."""
 
 import json
 import subprocess

@@ -39,7 +39,7 @@ PARTS = {
 
 
 def run(context: TaskContext) -> None:
-    """Write `cameras/sparse/0` and `cameras/cameras.json`; a search that was interrupted goes on.
+    """Write `cameras/sparse/0` and `cameras/cameras.json`; an interrupted search continues.
 
     Raises `SceneRefusedError` after reporting every finding where the photographs cannot be used, or their
     cameras are not found.
@@ -51,17 +51,17 @@ def run(context: TaskContext) -> None:
         _check(context)
         _find(context, inputs)
         context.reporter.checkpoint("cameras", 1, context.folder)
-    found = read_found_cameras(context.folder)
-    context.reporter.finding("scene.poses_solved", summary(found))
-    for finding in found.findings:
+    cameras = read_found_cameras(context.folder)
+    context.reporter.finding("scene.poses_solved", summary(cameras))
+    for finding in cameras.findings:
         context.reporter.finding(finding.code, finding.message, subject=finding.subject)
 
 
-def summary(found: FoundCameras) -> str:
+def summary(cameras: FoundCameras) -> str:
     """Return in words how well cameras were found."""
     return (
-        f"cameras for {found.registered} of {found.photographs} photographs, {found.points} points, "
-        f"reprojection error {measured(found.reprojection_error_px, 2)} pixels"
+        f"cameras for {cameras.registered} of {cameras.photographs} photographs, {cameras.points} points, "
+        f"reprojection error {measured(cameras.reprojection_error_px, 2)} pixels"
     )
 
 
@@ -130,7 +130,7 @@ def _write(context: TaskContext, solution: Solution, problems: Problems, inputs:
     assert solution.model is not None, "advise refuses photographs without any camera"
     shutil.rmtree(context.folder / MODEL, ignore_errors=True)
     shutil.copytree(solution.model, context.folder / MODEL)
-    found = FoundCameras(
+    cameras = FoundCameras(
         inputs=inputs,
         photographs=len(solution.names),
         missing=tuple(name for name in solution.names if name not in solution.camera_to_world),
@@ -144,4 +144,4 @@ def _write(context: TaskContext, solution: Solution, problems: Problems, inputs:
             if finding.code != "scene.static_background"  # told by `ingest`, with what is done about it
         ),
     )
-    write_json(context.folder / CAMERAS_FILE, found.model_dump(mode="json"))
+    write_json(context.folder / CAMERAS_FILE, cameras.model_dump(mode="json"))

@@ -59,7 +59,7 @@ def run(context: TaskContext) -> None:
 
 
 def _true_lights(context: TaskContext, scene: Scene) -> dict[str, Float32[ndarray, "rows columns 3"]]:
-    """Return the true environments beside the capture; one that cannot be read is told, and ends nothing."""
+    """Return the true environments beside the capture; one that cannot be read is a finding."""
     try:
         return read_true_lights(scene.lights, [context.spec.scene / FOLDER])
     except UsageError as error:

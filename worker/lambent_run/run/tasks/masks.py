@@ -64,8 +64,8 @@ def run(context: TaskContext) -> None:
     """Write `estimated_masks/`, where there are none: masks, thumbnails, the manifest with a fitted box.
 
     A person's corrections are applied to what was estimated, which is kept and not estimated again for other
-    corrections. The result is checked like masks that somebody made. Raises `SceneRefusedError` where it is
-    not to be believed; the thumbnails show why. Raises `UsageError` for corrections of masks that are not
+    corrections. The result is checked like masks that a user made. Raises `SceneRefusedError` where it is
+    not credible; the thumbnails show why. Raises `UsageError` for corrections of masks that are not
     estimated.
     """
     if context.spec.masks != AUTOMATIC or not needs_masks(context):
@@ -111,11 +111,11 @@ def found_object(context: TaskContext) -> Workspace | str:
             return Workspace.load(kept)
         except WorkerError as error:  # Of another release.
             context.reporter.log("masks.estimated_again", reason=error.code)
-    found = _find(context)
-    if not isinstance(found, str):
-        found.save(kept)
+    workspace = _find(context)
+    if not isinstance(workspace, str):
+        workspace.save(kept)
         note_made_from(kept, inputs)
-    return found
+    return workspace
 
 
 def _find(context: TaskContext) -> Workspace | str:
@@ -140,10 +140,10 @@ def _find(context: TaskContext) -> Workspace | str:
 
 
 def _draw(context: TaskContext) -> WrittenMasks:
-    found = found_object(context)
+    workspace = found_object(context)
     corrections = context.spec.corrections
     written = draw_into(
-        found, photographs(context), context.folder, corrections, lambda *step: _progress(context, *step)
+        workspace, photographs(context), context.folder, corrections, lambda *step: _progress(context, *step)
     )
     if written.reason:
         context.reporter.artifact(SHEET, written.sheet)
@@ -183,11 +183,11 @@ def blaming_masks(checked: CaptureCheck) -> list[scene_pb2.Finding]:
 
     Poses were judged before, by the points that they were found from.
     """
-    found = []
+    findings = []
     for finding in checked.report.findings:
         if finding.code in BLAMED:
             advice = "correct its mask (lambent masks --edit)"
-            found.append(
+            findings.append(
                 scene_pb2.Finding(
                     code="scene.mask_doubtful",
                     severity=scene_pb2.SEVERITY_WARNING,
@@ -195,4 +195,4 @@ def blaming_masks(checked: CaptureCheck) -> list[scene_pb2.Finding]:
                     subject=finding.subject,
                 )
             )
-    return found
+    return findings

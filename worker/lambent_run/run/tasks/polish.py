@@ -19,9 +19,9 @@ STEP = 1
 def run(context: TaskContext) -> None:
     """Write the polished model to `polish/step_*`; that of stage two, with the reason, where it is kept.
 
-    How sure the fit is lies beside it, for the uncertainty of materials in reports and bundles.
-    The user is told where stage two is kept. With a grey card, albedo and light are brought to what it
-    reflects; where that cannot be done the user is told, too. On the processor whatever the run's device is:
+    The confidence of the fit is written next to it, for the uncertainty of materials in reports and bundles.
+    A finding says where stage two is kept. With a grey card, albedo and light are brought to what it
+    reflects; where that cannot be done a finding says so, too. On the processor whatever the run's device is:
     the compiled fit is there, and a GPU would wait. Meanwhile previews show the model that is polished, from
     ever new sides.
     """

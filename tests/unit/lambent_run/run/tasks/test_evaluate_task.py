@@ -1,4 +1,4 @@
-"""What the evaluation inside a run tells its user."""
+"""Findings of the evaluation inside a run."""
 
 from dataclasses import replace
 

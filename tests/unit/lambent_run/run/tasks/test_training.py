@@ -1,4 +1,4 @@
-"""What the two training tasks of a run keep and find again."""
+"""The two training tasks of a run resume from what they kept."""
 
 import json
 from dataclasses import replace
