@@ -59,7 +59,7 @@ def mirrored_light(
             hits.weight,
             hits.direction,
             normals,
-            perceptual_roughness,
+            roughness,
             base_reflectance,
             visibility,
         )

@@ -75,7 +75,7 @@ class _ServerConnection:
     def __init__(self, address: str, known: KnownServers) -> None:
         self.address = address
         self.channel = open_channel(address, known.authority, known.authority_name)
-        self.stub = worker_pb2_grpc.WorkerServiceStub(self.channel)  # type: ignore[no-untyped-call]
+        self.stub = worker_pb2_grpc.WorkerServiceStub(self.channel)
 
 
 class Servers:
