@@ -1,1 +1,1 @@
-"""What server, worker and client share: errors, files, colour, scenes, and the settings of pictures."""
+"""Shared by server, worker and client: errors, files, colour, scenes, and the settings of pictures."""

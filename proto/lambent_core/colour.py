@@ -33,8 +33,8 @@ def linear_from_srgb(encoded: NDArray[np.floating]) -> NDArray[np.floating]:
 def rec709_matrix(chromaticities: Sequence[float]) -> NDArray[np.float32] | None:
     """Return the matrix from linear colours of these primaries to linear Rec. 709, or None for the same ones.
 
-    Raises ValueError for eight numbers that are no primaries: infinite ones, ones on a line, a white without
-    luminance.
+    Raises ValueError for eight numbers that cannot be primaries: infinite ones, ones on a line, a white
+    without luminance.
     """
     stated = np.ravel(np.asarray(chromaticities, np.float64))
     if stated.shape != (8,) or not np.isfinite(stated).all():

@@ -62,7 +62,7 @@ class UnsupportedQuality(RelightError):  # noqa: N818 - the quality is at fault,
 
 
 class WorkerError(LambentError):
-    """A run, or a command that does its work, cannot go on with what it was given."""
+    """A run, or a command that does its work, cannot continue with what it was given."""
 
 
 class UsageError(WorkerError):

@@ -120,11 +120,11 @@ def _colour_part(path: Path, parts: list[OpenEXR.Part]) -> OpenEXR.Part:
     for part in parts:
         if {"R", "G", "B"} <= set(part.channels):
             return part
-    found = sorted(name for part in parts for name in part.channels)
+    names = sorted(name for part in parts for name in part.channels)
     raise _unusable(
         "environment.exr_channels",
         path,
-        f"has the channels {found[:16]}, expected R, G and B in one part",
+        f"has the channels {names[:16]}, expected R, G and B in one part",
         "save the map as RGB or RGBA",
     )
 

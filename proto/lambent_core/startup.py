@@ -58,7 +58,7 @@ def end_with_parent(number: int) -> None:
     """Let this process get a signal when the one that started it is gone (Linux).
 
     A process takes a second or more to come here. Its parent may be gone by then, and the process that
-    inherited it looks like a parent: the true one is told by `with_parent`.
+    inherited it looks like a parent: `with_parent` says which one is the true one.
     """
     if sys.platform.startswith("linux"):
         parent = int(os.environ.pop(_PARENT, os.getppid()))

@@ -1,7 +1,7 @@
 """Filters of system calls (seccomp), as programs for the kernel's classic BPF machine.
 
 Three answers: allowed; refused with EPERM, as every call that a filter does not name; and the end of the
-process by SIGSYS, for calls that no decoder makes unless somebody else's code runs in it.
+process by SIGSYS, for calls that no decoder makes unless foreign code runs in it.
 """
 
 import ctypes

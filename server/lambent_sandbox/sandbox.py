@@ -124,20 +124,20 @@ def enter(
 
 
 def program_paths() -> list[Path]:
-    """Return where Python, its libraries and what they look at while loading lie; no file of any user."""
+    """Return the paths of Python, its libraries and what they read while loading; no file of any user."""
     system = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime", "/etc/ssl/openssl.cnf")
     devices = ("/dev/null", "/dev/urandom", "/sys/devices/system/cpu", "/proc/cpuinfo", "/proc/meminfo")
     own = ("/proc/self/maps", "/proc/self/status", "/proc/self/cgroup", "/sys/fs/cgroup")
-    # Not `sys.path`: it has the working directory, and whatever somebody wrote into PYTHONPATH.
+    # Not `sys.path`: it has the working directory, and whatever PYTHONPATH names.
     python = [sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")]
-    # Libraries that those of Python need may lie beside them.
+    # Libraries that those of Python need may be next to them.
     libraries = os.path.join(sys.base_prefix, "lib")
     return [Path(path) for path in (*system, *devices, *own, *python, libraries)] + _package_parents()
 
 
 def _package_parents() -> list[Path]:
     """Return the folders that our own packages and the libraries are imported from."""
-    found = []
+    parents = []
     for name in (*PACKAGES, *LIBRARIES):
         try:
             spec = importlib.util.find_spec(name)
@@ -147,20 +147,20 @@ def _package_parents() -> list[Path]:
         if spec is not None and spec.origin is not None:
             path = Path(spec.origin).absolute()
             package = path if spec.submodule_search_locations is None else path.parent
-            found.append(package.parents[name.count(".")])
-    return list(dict.fromkeys(found))
+            parents.append(package.parents[name.count(".")])
+    return list(dict.fromkeys(parents))
 
 
 def require_apart(readable: Iterable[Path]) -> None:
-    """Raise `SandboxError` if a path lies among the program, where all that lies beside it could be read."""
+    """Raise `SandboxError` for a path in the program's folders, whose other files could be read with it."""
     programs = [path.resolve() for path in program_paths()]
     for path in readable:
         given = path.resolve()
         around = next((each for each in programs if given.is_relative_to(each)), None)
         if around is not None:
             raise SandboxError(
-                f"{path} lies in {around}, which a process that reads it may read as part of the program; "
-                "move it elsewhere"
+                f"{path} is inside {around}, all of which a process that reads it could read; move it "
+                "elsewhere"
             )
 
 
@@ -171,7 +171,7 @@ def _limit(limits: Limits, *, may_have_threads: bool) -> None:
         resource.setrlimit(kind, (value, value))
 
     lower(resource.RLIMIT_CORE, 0)
-    # Writing to a pipe is no writing of a file.
+    # Writing to a pipe does not count as writing a file.
     lower(resource.RLIMIT_FSIZE, 0)
     lower(resource.RLIMIT_NOFILE, limits.open_files)
     lower(resource.RLIMIT_CPU, limits.cpu_s)

@@ -175,11 +175,11 @@ def machine(job: JobRow) -> dict[str, Any]:
 
 def _gpu_models(used: Sequence[int]) -> list[str]:
     """Return the models of the GPUs of a run, as NVIDIA's driver names them; none where it says nothing."""
-    found = sorted(Path("/proc/driver/nvidia/gpus").glob("*/information"))
+    devices = sorted(Path("/proc/driver/nvidia/gpus").glob("*/information"))
     models = []
     for number in used:
-        if number < len(found):
-            lines = found[number].read_text(encoding="utf-8", errors="replace").splitlines()
+        if number < len(devices):
+            lines = devices[number].read_text(encoding="utf-8", errors="replace").splitlines()
             models += [line.partition(":")[2].strip() for line in lines if line.startswith("Model:")]
     return models
 

@@ -43,7 +43,7 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
     # A labelled metric that has counted nothing yet has no series: its labels are in the code.
     from lambent_server.core import metrics
 
-    labels = {each._name: set(each._labelnames) for each in metrics.COUNTED if hasattr(each, "_labelnames")}
+    labels = {each._name: set(each._labelnames) for each in metrics.OWN._collector_to_names}
     for family in families:
         own = labels.get(family.name, {name for sample in family.samples for name in sample.labels} - ADDED)
         if family.name.endswith("_created"):

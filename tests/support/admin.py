@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lambent_server.admin.commands import app
-from lambent_server.core.secrets import read_or_create_secret
+from lambent_server.core.secrets import read_or_create
 from support.api import Api, opened
 from typer.testing import CliRunner, Result
 
@@ -16,7 +16,7 @@ from typer.testing import CliRunner, Result
 def administered(data: Path) -> Iterator[Api]:
     """Yield an interface on a folder that a server has used, which the commands ask for."""
     with opened(data) as api:
-        read_or_create_secret(data / "worker.secret")
+        read_or_create(data / "worker.secret")
         yield api
 
 

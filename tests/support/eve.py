@@ -7,7 +7,7 @@ from typing import Any
 
 from lambent_server.accounts import users
 from lambent_server.admin.commands import app
-from lambent_server.core.secrets import read_or_create_secret, sha256_text
+from lambent_server.core.secrets import read_or_create, sha256_text
 from lambent_server.database.engine import Database
 from lambent_server.database.schema import api_keys
 from lambent_server.database.tenancy import rows
@@ -40,7 +40,7 @@ def with_eve(kind: str, folder: Path) -> Iterator[Api]:
             database = Database(given["database"].replace("postgresql:", "postgresql+psycopg:"))
             stack.enter_context(contextlib.closing(database)).migrate()
         api = stack.enter_context(opened(folder / "data", **given))
-        read_or_create_secret(folder / "data" / "worker.secret")
+        read_or_create(folder / "data" / "worker.secret")
         operate(api, *PROMOTED)
         add_bundle(api, folder, {"manifest.json": b"{}"})
         yield api

@@ -18,6 +18,7 @@ from lambent_server.scenes import rows as scene_rows
 from lambent_server.storage import archives, decoding, decoding_child
 from lambent_server.storage.decoding import Decoder
 from lambent_server.storage.paths import path_problem
+from support.archives import AnyRoom
 from support.hostile_runs import MIB, OUT_OF_MEMORY, Verdict, captured, judge, lines_of, run
 
 ROOT = Path(__file__).parents[2]
@@ -77,9 +78,7 @@ def read_archive(name: str, data: bytes, *, check: bool = True) -> Verdict:
         kept = Path(folder) / "kept"
         kept.mkdir()
         try:
-            members, _ = archives._keep(
-                decoding._entries(decoder), kept, budget, SETTINGS, archives._NoLimit()
-            )
+            members, _ = archives._keep(decoding._entries(decoder), kept, budget, SETTINGS, AnyRoom())
             files = [scene_rows.SceneFile(each.path, each.sha256, each.size_bytes) for each in members]
             scene_rows.check_files(files, SETTINGS)
         except Problem as problem:

@@ -152,7 +152,7 @@ def _read(
         **_SHARED_HEADERS,
     }
     if is_hashed or place.name == _ELEMENT:
-        # Scripts of the element, which pages of other origins load; they hold nothing of anybody.
+        # Scripts of the element, which pages of other origins load; they contain no user's data.
         headers["access-control-allow-origin"] = "*"
     return PageFile(content, headers)
 
@@ -180,10 +180,10 @@ def embed_page(head: str, frame_ancestors: Sequence[str] = (), folder: Path = FO
     return PageFile(text.encode(), headers)
 
 
-def is_current(page: PageFile, if_none_match: str | None) -> bool:
-    """Return whether the If-None-Match of a request matches the file, so that the response is 304."""
+def is_named(etag: str, if_none_match: str | None) -> bool:
+    """Return whether the If-None-Match of a request names an ETag, so that the response is 304."""
     tags = {tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")}
-    return page.headers["etag"] in tags or "*" in tags
+    return etag in tags or "*" in tags
 
 
 def not_found() -> PageFile:

@@ -57,7 +57,7 @@ class LoopbackHandler(BaseHTTPRequestHandler):
         if page is None:
             absent = lambent_pages.not_found()
             self.send(HTTPStatus.NOT_FOUND, absent.headers, absent.content if with_body else b"")
-        elif lambent_pages.is_current(page, self.headers.get("if-none-match")):
+        elif lambent_pages.is_named(page.headers["etag"], self.headers.get("if-none-match")):
             self.send(HTTPStatus.NOT_MODIFIED, page.headers, b"")
         else:
             self.send(HTTPStatus.OK, page.headers, page.content if with_body else b"", len(page.content))

@@ -17,7 +17,7 @@ from lambent_server.api.problems import Problem, conflict, invalid, not_found
 from lambent_server.cluster.membership import server_id
 from lambent_server.cluster.shared_secrets import WORKER, lock
 from lambent_server.core.clock import new_id, now, rfc3339
-from lambent_server.core.secrets import new_secret, read_or_create_secret, sha256_text, write_secret
+from lambent_server.core.secrets import new_secret, read_or_create, sha256_text, write_secret
 from lambent_server.database.engine import Database
 from lambent_server.database.schema import api_keys, sessions
 from lambent_server.database.tenancy import Tenant, across_tenants, add, change, find, remove, rows
@@ -226,7 +226,7 @@ def last_revoked_at(connection: Connection, tenant: Tenant) -> float:
 def _file_name(data: Path) -> str:
     """Return the name of the key in a data folder, which tells it from those in others."""
     secret = data / WORKER
-    of_folder = read_or_create_secret(secret) if secret.exists() else server_id(data)
+    of_folder = read_or_create(secret) if secret.exists() else server_id(data)
     return f"{FILE} {sha256_text(of_folder)[:8]}"
 
 
@@ -241,7 +241,7 @@ def accept_file(database: Database, tenant: Tenant, data: Path) -> bool:
         lock(connection)
         if not (data / FILE).exists() and _is_elsewhere(connection, tenant, name):
             return False
-        secret = read_or_create_secret(data / FILE, PREFIX)
+        secret = read_or_create(data / FILE, lambda: new_secret(PREFIX))
         known_before = across_tenants(api_keys).where(api_keys.c.key_sha256 == sha256_text(secret))
         row = connection.execute(known_before).mappings().one_or_none()
         if row is not None and row["revoked_at"] is not None:

@@ -24,7 +24,7 @@ def verify(
     expect: Annotated[
         str,
         typer.Option(
-            metavar="NUMBER:HASH", help="An entry that was noted earlier must still be there; with --org."
+            metavar="NUMBER:HASH", help="An entry noted earlier, which must still exist; needs --org."
         ),
     ] = "",
     data: DataOption = None,
@@ -33,8 +33,8 @@ def verify(
 ) -> None:
     """Find changed, removed, added or reordered entries; exit code 1 if there are any.
 
-    Prints number and hash of the newest entry: kept elsewhere and given as --expect, it also proves that
-    nobody has written the whole log anew.
+    Prints number and hash of the newest entry. Noted elsewhere and given as --expect, they also prove that
+    the log was not rewritten as a whole.
     """
     if expect and not org:
         raise typer.BadParameter("--expect needs --org")
@@ -45,7 +45,7 @@ def verify(
             verdict = audit.verify(connection, tenant)
             problem = verdict.problem
             if expect and not problem and not audit.contains(connection, tenant, expect):
-                problem = f"there is no entry {expect}: the log was written anew, or this was removed"
+                problem = f"there is no entry {expect}: the log was rewritten, or this entry was removed"
             failed |= bool(problem)
             shown = {
                 "org": tenant.id or "-",
@@ -83,7 +83,7 @@ def prune(
     data: DataOption = None,
     database: DatabaseOption = None,
 ) -> None:
-    """Remove the oldest entries, which nothing else can; those that stay can still be verified."""
+    """Remove the oldest entries; the rest can still be verified. Nothing else removes entries."""
     tenant, before = Tenant("" if org == "-" else org), now() - age(older)
     with opened(data, database) as services, services.database.write() as connection:
         if not yes:

@@ -83,20 +83,20 @@ def _sandbox(services: Services) -> dict[str, Any]:
 def status(data: DataOption = None, database: DatabaseOption = None, as_json: JsonOption = False) -> None:
     """Show drain and maintenance, unfinished jobs, waiting webhooks, and how uploads are decoded."""
     with opened(data, database) as services:
-        found = {**_state(services), "sandbox": _sandbox(services)}
+        shown = {**_state(services), "sandbox": _sandbox(services)}
     if as_json:
-        typer.echo(json.dumps(found))
+        typer.echo(json.dumps(shown))
         return
     for name in ("drain", "maintenance"):
-        notice = found[name]
+        notice = shown[name]
         text = f"on since {notice['since']} {notice['message']}".rstrip() if notice else "off"
         typer.echo(f"{name:<18}{text}")
-    jobs_text = ", ".join(f"{count} {state}" for state, count in sorted(found["jobs"].items())) or "none"
+    jobs_text = ", ".join(f"{count} {state}" for state, count in sorted(shown["jobs"].items())) or "none"
     typer.echo(f"{'unfinished jobs':<18}{jobs_text}")
-    typer.echo(f"{'processes':<18}{found['processes']}")
-    typer.echo(f"{'webhooks waiting':<18}{found['webhooks_waiting']}")
-    typer.echo(f"{'sandbox':<18}{', '.join(found['sandbox']['in_force'])}")
-    for name, reason in found["sandbox"]["missing"].items():
+    typer.echo(f"{'processes':<18}{shown['processes']}")
+    typer.echo(f"{'webhooks waiting':<18}{shown['webhooks_waiting']}")
+    typer.echo(f"{'sandbox':<18}{', '.join(shown['sandbox']['in_force'])}")
+    for name, reason in shown["sandbox"]["missing"].items():
         typer.echo(f"{'':<18}without {name}: {reason}")
 
 
@@ -104,9 +104,9 @@ def status(data: DataOption = None, database: DatabaseOption = None, as_json: Js
 def servers(data: DataOption = None, database: DatabaseOption = None, as_json: JsonOption = False) -> None:
     """List the servers on this database, those that died lately among them, and which one leads."""
     with opened(data, database) as services, services.database.read() as connection:
-        found = members(connection)
+        known = members(connection)
     rows = []
-    for each in found:
+    for each in known:
         times = {name: rfc3339(getattr(each, name)) for name in ("started_at", "beat_at")}
         silent = f"silent since {times['beat_at']}"
         state = "leads" if each.leads else "alive" if each.is_alive else silent
@@ -117,12 +117,12 @@ def servers(data: DataOption = None, database: DatabaseOption = None, as_json: J
 @app.command()
 def drain(
     switch: Annotated[Switch, typer.Argument(help="on, or off again.")] = Switch.ON,
-    message: Annotated[str, typer.Option(help="Why, for people who ask the server.")] = "",
+    message: Annotated[str, typer.Option(help="The reason, shown to users.")] = "",
     wait: Annotated[bool, typer.Option("--wait", help="Return when no run is left.")] = False,
     data: DataOption = None,
     database: DatabaseOption = None,
 ) -> None:
-    """Start no more runs: those that run go on to their end, and jobs are still accepted and queue up."""
+    """Start no more runs: running ones finish, and new jobs are accepted and wait in the queue."""
     with opened(data, database) as services:
         _tell(services, DRAIN, switch, message)
         while wait and switch is Switch.ON and _state(services)["processes"]:
@@ -132,14 +132,14 @@ def drain(
 @app.command()
 def maintenance(
     switch: Annotated[Switch, typer.Argument(help="on, or off again.")],
-    message: Annotated[str, typer.Option(help="What people are told whose changes are refused.")] = "",
+    message: Annotated[str, typer.Option(help="Text of the response to changes that are refused.")] = "",
     retry_after_s: Annotated[
         int, typer.Option("--retry-after", help="Seconds after which they may try again.", min=1, max=86400)
     ] = 60,
     data: DataOption = None,
     database: DatabaseOption = None,
 ) -> None:
-    """Refuse changes with 503 and Retry-After; reading works, and runs go on and report."""
+    """Refuse changes with 503 and Retry-After; reading still works, and runs continue and report."""
     with opened(data, database) as services:
         _tell(services, MAINTENANCE, switch, message, retry_after_s)
 

@@ -21,7 +21,7 @@ from lambent_server.maintenance import erasure, housekeeping
 from lambent_server.services import Services
 
 app = typer.Typer(
-    add_completion=False, no_args_is_help=True, help="Organisations: nobody sees what another one has."
+    add_completion=False, no_args_is_help=True, help="Organisations, which cannot see each other's data."
 )
 IdArgument = Annotated[str, typer.Argument(metavar="ORG", help="Id of the organisation.")]
 
@@ -33,7 +33,7 @@ def create(
     data: DataOption = None,
     database: DatabaseOption = None,
 ) -> None:
-    """Add an organisation. Its id is of small letters, digits, - and _, and never changes."""
+    """Add an organisation. Its id has lower-case letters, digits, - and _, and never changes."""
     tenant = Tenant(checked_id(org))
     with opened(data, database) as services, services.database.write() as connection:
         organisations.create(connection, tenant, name or org)
@@ -44,7 +44,7 @@ def create(
 def checked_id(org: str) -> str:
     """Return an id that an organisation can have; raises typer.BadParameter for any other text."""
     if not re.fullmatch(ID_PATTERN, org):
-        raise typer.BadParameter(f"{org!r} is no id: 1 to 40 small letters, digits, - and _")
+        raise typer.BadParameter(f"{org!r} is not a valid id: 1 to 40 lower-case letters, digits, - and _")
     return org
 
 
@@ -75,13 +75,13 @@ def _show(services: Services, connection: Connection, row: Any) -> dict[str, Any
 
 @app.command()
 def close(org: IdArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
-    """Let nobody in any more: keys, sessions and links stop working; jobs go on, nothing is deleted."""
+    """Close an organisation: its keys, sessions and links stop working. Jobs continue, nothing is deleted."""
     _set_closed(org, True, data, database)
 
 
 @app.command("open")
 def reopen(org: IdArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
-    """Let people in again."""
+    """Open a closed organisation again."""
     _set_closed(org, False, data, database)
 
 
@@ -99,7 +99,12 @@ def delete(
     yes: YesOption = False,
     wait_s: Annotated[
         float,
-        typer.Option("--wait", metavar="SECONDS", help="For runs to end, and for the last bytes.", min=0),
+        typer.Option(
+            "--wait",
+            metavar="SECONDS",
+            help="Wait for runs to end and for the last bytes.",
+            min=0,
+        ),
     ] = 120.0,
     data: DataOption = None,
     database: DatabaseOption = None,
@@ -107,17 +112,17 @@ def delete(
 ) -> None:
     """Delete an organisation: rows, files, keys, people who belong to no other, its audit log.
 
-    Nobody gets in from the first moment, jobs are cancelled, and when their runs have ended everything goes.
-    Exit code 1 if bytes are left for the server's sweep. There is no way back.
+    It is closed first, its jobs are cancelled, and when their runs have ended everything is deleted. Exit
+    code 1 if some bytes are left for the server to delete. This cannot be undone.
     """
     tenant = Tenant(org)
     if org == DEFAULT_TENANT_ID:
-        raise typer.BadParameter("the key file of the server belongs to it; delete its things instead")
+        raise typer.BadParameter("the server's own key belongs to it; delete its contents instead")
     with opened(data, database, store, with_store=True) as services:
         with services.database.read() as connection:
             organisations.require(connection, tenant)
-            found = erasure.count(connection, tenant)
-        for name, num_rows in found.items():
+            counts = erasure.count(connection, tenant)
+        for name, num_rows in counts.items():
             typer.echo(f"{name:<24}{num_rows}")
         if not yes:
             typer.echo("nothing was changed: add --yes", err=True)
@@ -133,7 +138,7 @@ def delete(
             housekeeping.sweep(services)
         left = not erasure.is_erased(services, tenant)
     if left:
-        typer.echo("bytes are left, which the server removes within minutes", err=True)
+        typer.echo("some bytes are left; the server deletes them within minutes", err=True)
     raise typer.Exit(int(left))
 
 
@@ -150,13 +155,13 @@ def quota(
         typer.Option("--gpu-minutes", metavar="N", help="GPU minutes a month; 0: no limit.", min=0),
     ] = None,
     default: Annotated[
-        bool, typer.Option("--default", help="First go back to the limits of the settings.")
+        bool, typer.Option("--default", help="Reset to the limits of the settings first.")
     ] = False,
     data: DataOption = None,
     database: DatabaseOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Set what an organisation may use, and show it with what it uses."""
+    """Set the quotas of an organisation, and show them with what it uses."""
     tenant = Tenant(org)
     given = {
         "max_bytes": size(max_bytes) if max_bytes else None,
@@ -195,5 +200,5 @@ def size(text: str) -> float:
     factors = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
     number = text.rstrip("KMGT")
     if not number.isdecimal() or text[len(number) :] not in factors:
-        raise typer.BadParameter(f"{text!r} is no size such as 20000, 500M, 80G or 2T")
+        raise typer.BadParameter(f"{text!r} is not a size such as 20000, 500M, 80G or 2T")
     return float(int(number) * factors[text[len(number) :]])

@@ -34,7 +34,7 @@ ScopeOption = Annotated[
 @app.command()
 def add(
     email: Annotated[
-        str, typer.Argument(metavar="USER", help="Address that the provider will vouch for, or id.")
+        str, typer.Argument(metavar="USER", help="E-mail address that the identity provider confirms, or id.")
     ],
     org: OrgOption = "default",
     role: RoleOption = "editor",
@@ -42,7 +42,7 @@ def add(
     data: DataOption = None,
     database: DatabaseOption = None,
 ) -> None:
-    """Let somebody sign in, or give a user another role or a further organisation."""
+    """Add a user, or give one another role or a further organisation."""
     tenant = Tenant(org)
     with opened(data, database) as services, services.database.write() as connection:
         organisations.require(connection, tenant)
@@ -61,14 +61,14 @@ def add(
 def remove(
     user: UserArgument, org: OrgOption = "default", data: DataOption = None, database: DatabaseOption = None
 ) -> None:
-    """Let somebody no longer belong to an organisation; sessions and keys there end at once."""
+    """Remove a user from an organisation; sessions and keys there end at once."""
     tenant = Tenant(org)
     with opened(data, database) as services, services.database.write() as connection:
-        found = users.require(connection, user)
-        if not users.leave(connection, tenant, found["id"]):
+        member = users.require(connection, user)
+        if not users.leave(connection, tenant, member["id"]):
             raise not_found("member", user)
-        audit.record(connection, operator(tenant), "user remove", found["id"])
-    typer.echo(f"{found['id']} is no member of {org} any more")
+        audit.record(connection, operator(tenant), "user remove", member["id"])
+    typer.echo(f"{member['id']} is no longer a member of {org}")
 
 
 @app.command("list")
@@ -78,7 +78,7 @@ def list_users(
     database: DatabaseOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List people, and what they are in which organisation."""
+    """List users with their role in each organisation."""
     with opened(data, database) as services, services.database.read() as connection:
         shown = []
         for row in users.everybody(connection):
@@ -98,9 +98,9 @@ def list_users(
 
 
 def _logs_of(connection: Connection, user_id: str) -> list[str]:
-    """Return in whose logs it belongs what happens to a user: "" is that of the server."""
-    found = sorted(row["tenant_id"] for row in users.memberships(connection, user_id))
-    return found or [audit.SERVER.id]
+    """Return the organisations whose logs record what happens to a user; "" is the log of the server."""
+    logs = sorted(row["tenant_id"] for row in users.memberships(connection, user_id))
+    return logs or [audit.SERVER.id]
 
 
 def _record(connection: Connection, logs: list[str], action: str, user_id: str) -> None:
@@ -110,24 +110,24 @@ def _record(connection: Connection, logs: list[str], action: str, user_id: str) 
 
 @app.command()
 def disable(user: UserArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
-    """Sign somebody out everywhere, and let them in no more; their keys stop working."""
+    """Sign a user out everywhere and refuse further sign-ins; the user's keys stop working."""
     with opened(data, database) as services, services.database.write() as connection:
-        found = users.require(connection, user)
-        users.change_user(connection, found["id"], disabled_at=now())
-        users.end_sessions(connection, found["id"])
-        users.revoke_keys(connection, found["id"])
-        _record(connection, _logs_of(connection, found["id"]), "user disable", found["id"])
-    typer.echo(f"{found['id']} disabled")
+        row = users.require(connection, user)
+        users.change_user(connection, row["id"], disabled_at=now())
+        users.end_sessions(connection, row["id"])
+        users.revoke_keys(connection, row["id"])
+        _record(connection, _logs_of(connection, row["id"]), "user disable", row["id"])
+    typer.echo(f"{row['id']} disabled")
 
 
 @app.command()
 def enable(user: UserArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
-    """Let somebody in again; keys stay revoked."""
+    """Let a disabled user sign in again; keys stay revoked."""
     with opened(data, database) as services, services.database.write() as connection:
-        found = users.require(connection, user)
-        users.change_user(connection, found["id"], disabled_at=None)
-        _record(connection, _logs_of(connection, found["id"]), "user enable", found["id"])
-    typer.echo(f"{found['id']} enabled")
+        row = users.require(connection, user)
+        users.change_user(connection, row["id"], disabled_at=None)
+        _record(connection, _logs_of(connection, row["id"]), "user enable", row["id"])
+    typer.echo(f"{row['id']} enabled")
 
 
 @app.command()
@@ -137,21 +137,21 @@ def delete(
     data: DataOption = None,
     database: DatabaseOption = None,
 ) -> None:
-    """Delete name, address, sessions and keys of somebody. What they made belongs to their organisation.
+    """Delete a user: name, address, sessions and keys. What the user made stays with the organisation.
 
-    The audit log keeps the id of the user, which names nobody any more.
+    The audit log keeps the id, which then identifies no one.
     """
     with opened(data, database) as services, services.database.write() as connection:
-        found = users.require(connection, user)
-        member_of = sorted(row["tenant_id"] for row in users.memberships(connection, found["id"]))
+        row = users.require(connection, user)
+        member_of = sorted(row["tenant_id"] for row in users.memberships(connection, row["id"]))
         if not yes:
-            typer.echo(f"{found['id']} {found['name']} {found['email'] or ''} of {', '.join(member_of)}")
+            typer.echo(f"{row['id']} {row['name']} {row['email'] or ''} of {', '.join(member_of)}")
             typer.echo("nothing was changed: add --yes", err=True)
             return
-        logs = _logs_of(connection, found["id"])
-        users.forget(connection, found["id"])
-        _record(connection, logs, "user delete", found["id"])
-    typer.echo(f"{found['id']} deleted")
+        logs = _logs_of(connection, row["id"])
+        users.forget(connection, row["id"])
+        _record(connection, logs, "user delete", row["id"])
+    typer.echo(f"{row['id']} deleted")
 
 
 @keys_app.command("create")
@@ -160,11 +160,11 @@ def create_key(
     org: OrgOption = "default",
     scope: ScopeOption = [],  # noqa: B006 - typer reads it once
     expires: Annotated[str, typer.Option(metavar="AGE", help="Valid for so long: 12h, 90d.")] = "",
-    user: Annotated[str, typer.Option(help="Whose key it is: id or address of a member.")] = "",
+    user: Annotated[str, typer.Option(help="Owner of the key: id or address of a member.")] = "",
     data: DataOption = None,
     database: DatabaseOption = None,
 ) -> None:
-    """Print a new key, this once."""
+    """Create a key and print it; it is shown only this once."""
     tenant = Tenant(org)
     try:
         order = keys.NewKey.model_validate(
@@ -209,7 +209,7 @@ def revoke(
     data: DataOption = None,
     database: DatabaseOption = None,
 ) -> None:
-    """Let a key never work again."""
+    """Revoke a key for good."""
     with opened(data, database) as services, services.database.write() as connection:
         statement = across_tenants(api_keys, api_keys.c.tenant_id).where(api_keys.c.id == key)
         tenant_id = connection.execute(statement).scalar_one_or_none()

@@ -38,7 +38,7 @@ def set_rules(
     database: DatabaseOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Set rules, and show them. Until --enforce, only `retention run --yes` deletes anything."""
+    """Set rules, and show them. Without --enforce, only `retention run --yes` deletes anything."""
     tenant = Tenant(org)
     given = {"scenes": scenes, "jobs": jobs, "bundles": bundles, "logs": logs}
     ages = {kind: None if text == NEVER else age(text) for kind, text in given.items() if text}
@@ -67,18 +67,18 @@ def run(
     database: DatabaseOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Delete what the rules say, or list it."""
+    """Delete what is older than the rules allow, or list it."""
     tenant = Tenant(org)
     with opened(data, database) as services:
         with services.database.read() as connection:
             organisations.require(connection, tenant)
             rules = retention.rules_of(connection, tenant)
-        found = retention.due(services, tenant, rules, limit=10_000)
+        due = retention.due(services, tenant, rules, limit=10_000)
         shown = []
-        for each in found:
+        for each in due:
             done = yes and retention.delete(services, operator(tenant), each)
             row = {"kind": each.kind, "id": each.id, "since": rfc3339(each.since), "deleted": done}
             shown.append(row)
     print_rows(shown, ("kind", "id", "since", "deleted"), as_json)
     if not yes:
-        typer.echo(f"{len(shown)} things are due; nothing was changed: add --yes", err=True)
+        typer.echo(f"{len(shown)} items are due; nothing was changed: add --yes", err=True)

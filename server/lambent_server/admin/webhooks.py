@@ -32,7 +32,7 @@ def list_webhooks(
     database: DatabaseOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List subscriptions; of URLs only the host is shown, for the rest may be a secret."""
+    """List subscriptions; of URLs only the host is shown, because the rest may be a secret."""
     statement = across_tenants(webhooks).order_by(webhooks.c.id)
     if tenant:
         statement = statement.where(webhooks.c.tenant_id == tenant)
@@ -50,7 +50,7 @@ def list_webhooks(
 
 @app.command()
 def disable(webhook: IdArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
-    """Send nothing more to a subscription; what waits has failed."""
+    """Disable a subscription; deliveries that wait fail."""
     with opened(data, database) as services, services.database.write() as connection:
         row = _require(connection, webhook)
         tenant = Tenant(row["tenant_id"])
@@ -61,7 +61,7 @@ def disable(webhook: IdArgument, data: DataOption = None, database: DatabaseOpti
 
 @app.command()
 def enable(webhook: IdArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
-    """Send to a subscription again."""
+    """Enable a subscription again."""
     with opened(data, database) as services, services.database.write() as connection:
         row = _require(connection, webhook)
         tenant = Tenant(row["tenant_id"])
@@ -71,8 +71,8 @@ def enable(webhook: IdArgument, data: DataOption = None, database: DatabaseOptio
 
 
 def _require(connection: Connection, webhook: str) -> dict[str, Any]:
-    found = connection.execute(across_tenants(webhooks).where(webhooks.c.id == webhook)).mappings()
-    row = found.one_or_none()
+    rows = connection.execute(across_tenants(webhooks).where(webhooks.c.id == webhook)).mappings()
+    row = rows.one_or_none()
     if row is None:
         raise not_found("webhook", webhook)
     return dict(row)
@@ -101,9 +101,9 @@ def deliveries(
 ) -> None:
     """List the newest 1000 deliveries."""
     with opened(data, database) as services:
-        found = _deliveries(services, tenant, state, older)
+        listed = _deliveries(services, tenant, state, older)
     rows = []
-    for row in found:
+    for row in listed:
         shown = webhook_rows.show_delivery(row)
         last = shown.attempts[-1].error if shown.attempts else ""
         rows.append(
@@ -121,7 +121,7 @@ def redeliver(
     data: DataOption = None,
     database: DatabaseOption = None,
 ) -> None:
-    """Deliver again what failed; receivers know repeats by the id."""
+    """Deliver failed ones again; receivers recognise repeats by their id."""
     with opened(data, database) as services:
         for row in _deliveries(services, tenant, state, older):
             owner = Tenant(row["tenant_id"])

@@ -1,1 +1,1 @@
-"""What requests and answers are made of: messages, problems, pages, conditions."""
+"""The parts of requests and answers: messages, problems, pages, conditions."""

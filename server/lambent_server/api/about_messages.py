@@ -36,17 +36,17 @@ class Limits(Shown):
 
 
 class Notice(Shown):
-    """Something that operators have told all servers."""
+    """A notice of the operators."""
 
     since: str
     message: str
 
 
 class Notices(Shown):
-    """What operators have told all servers; null: nothing of the kind."""
+    """Notices of the operators; null where there is none."""
 
     drain: Notice | None
-    """No run starts; those that run go on."""
+    """No run starts; running ones continue."""
     maintenance: Notice | None
     """Changes are refused with 503; reading works."""
 

@@ -41,8 +41,8 @@ def _check_headers(request: Request) -> None:
     given = request.headers.get("content-type", "")
     kind = given.partition(";")[0].strip().lower()
     if not (kind == "application/json" or (kind.startswith("application/") and kind.endswith("+json"))):
-        found = f"the header is {given[:100]!r}" if given else "the header is missing"
-        detail = f"the body of this request is JSON, and its Content-Type does not say so: {found}; {_REMEDY}"
+        value = f"the header is {given[:100]!r}" if given else "the header is missing"
+        detail = f"the body of this request is JSON, and its Content-Type does not say so: {value}; {_REMEDY}"
         raise unsupported(detail, "Content-Type")
     coding = request.headers.get("content-encoding", "identity").strip().lower()
     if coding not in ("identity", ""):

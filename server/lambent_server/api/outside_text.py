@@ -55,9 +55,9 @@ def _decoded(data: bytes, part: str) -> str:
         raise _target(part, "bytes that are not UTF-8") from error
 
 
-def _target(part: str, found: str) -> Problem:
-    detail = f"the {part} of the request holds {found}; encode text as UTF-8, then each byte as %XX"
-    return Problem(400, "target_invalid", detail, errors=(Detail(f"#/{part}", found),))
+def _target(part: str, fault: str) -> Problem:
+    detail = f"the {part} of the request holds {fault}; encode text as UTF-8, then each byte as %XX"
+    return Problem(400, "target_invalid", detail, errors=(Detail(f"#/{part}", fault),))
 
 
 def parse_json(body: bytes) -> Any:
@@ -79,12 +79,12 @@ def parse_json(body: bytes) -> Any:
         # A number of more digits than Python converts.
         raise _not_json("it holds a number of thousands of digits") from error
     if _SUSPECT.search(text):
-        for pointer, found in _unusable(value):
+        for pointer, fault in _unusable(value):
             raise Problem(
                 400,
                 "text_invalid",
-                f"the body holds {found} at {pointer}; remove it",
-                errors=(Detail(pointer, f"holds {found}"),),
+                f"the body holds {fault} at {pointer}; remove it",
+                errors=(Detail(pointer, f"holds {fault}"),),
             )
     return value
 
@@ -103,19 +103,19 @@ def _unusable(value: Any) -> Iterator[tuple[str, str]]:
     # A list of what is left, because the value may be nested as deeply as the parser allows.
     left: list[tuple[str, Any]] = [("#", value)]
     while left:
-        pointer, found = left.pop()
-        if isinstance(found, dict):
-            if not all(map(storable, found)):
+        pointer, part = left.pop()
+        if isinstance(part, dict):
+            if not all(map(storable, part)):
                 yield pointer, "a name with a NUL or half of a surrogate pair"
                 continue
-            left += [(f"{pointer}/{_escaped(name)}", each) for name, each in found.items()]
-        elif isinstance(found, list):
-            left += [(f"{pointer}/{place}", each) for place, each in enumerate(found)]
-        elif isinstance(found, str) and not storable(found):
+            left += [(f"{pointer}/{_escaped(name)}", each) for name, each in part.items()]
+        elif isinstance(part, list):
+            left += [(f"{pointer}/{place}", each) for place, each in enumerate(part)]
+        elif isinstance(part, str) and not storable(part):
             yield pointer, "a NUL or half of a surrogate pair"
-        elif isinstance(found, int) and abs(found) > MAX_INTEGER:
+        elif isinstance(part, int) and abs(part) > MAX_INTEGER:
             yield pointer, "an integer beyond 64 bits"
-        elif isinstance(found, float) and not math.isfinite(found):
+        elif isinstance(part, float) and not math.isfinite(part):
             yield pointer, "a number beyond 64 bits"
 
 

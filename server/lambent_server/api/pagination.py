@@ -95,8 +95,8 @@ def select_ordered(
     """
     if page.cursor is not None:
         statement = statement.where(tuple_(*columns) > tuple_(*_values(page.cursor, columns)))
-    found = connection.execute(statement.order_by(*columns).limit(page.limit + 1)).mappings()
-    items = [dict(row) for row in found]
+    rows_found = connection.execute(statement.order_by(*columns).limit(page.limit + 1)).mappings()
+    items = [dict(row) for row in rows_found]
     if len(items) <= page.limit:
         return items, None
     last = items[page.limit - 1]
@@ -142,6 +142,6 @@ def read_page(
     `select_after` makes the query of so many rows after the row with an id.
     """
     statement = select_after(None if page.cursor is None else _id_of(page.cursor), page.limit + 1)
-    found = connection.execute(statement).mappings().all()
-    cursor = _cursor(found[page.limit - 1]["id"]) if len(found) > page.limit else None
-    return [kind(**row) for row in found[: page.limit]], cursor
+    page_rows = connection.execute(statement).mappings().all()
+    cursor = _cursor(page_rows[page.limit - 1]["id"]) if len(page_rows) > page.limit else None
+    return [kind(**row) for row in page_rows[: page.limit]], cursor

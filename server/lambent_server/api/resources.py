@@ -1,4 +1,4 @@
-"""What all operations share: entity tags of JSON, conditional requests, idempotency keys."""
+"""Entity tags of JSON, conditional requests, and idempotency keys, for all operations."""
 
 import hashlib
 import json
@@ -6,6 +6,7 @@ from collections.abc import Callable, Coroutine
 from typing import Annotated, Any
 
 from fastapi import Header, Request, Response
+from lambent_pages import is_named
 from pydantic import BaseModel
 
 from lambent_server.api.json_bodies import StrictRoute
@@ -57,7 +58,7 @@ def _tagged(request: Request, response: Response) -> Response:
         return response
     tag = _tag(json.loads(bytes(response.body)))
     headers = {"etag": tag, "cache-control": "private, no-cache"}
-    if request.method == "GET" and _names(request.headers.get("if-none-match"), tag, weak=True):
+    if request.method == "GET" and is_named(tag, request.headers.get("if-none-match")):
         vary = response.headers.get("vary")
         return Response(status_code=304, headers=headers | ({"vary": vary} if vary else {}))
     response.headers.update(headers)
@@ -70,19 +71,11 @@ def _tag(content: Any) -> str:
     return f'"{hashlib.sha256(text.encode()).hexdigest()[:_TAG_DIGITS]}"'
 
 
-def _names(header: str | None, tag: str, *, weak: bool) -> bool:
-    """Return whether a list of tags contains one, or is "*"."""
-    if header is None:
-        return False
-    tags = {each.strip() for each in header.split(",")}
-    if weak:
-        tags = {each.removeprefix("W/") for each in tags}
-    return tag in tags or tags == {"*"}
-
-
 def require_match(if_match: str | None, shown: BaseModel) -> None:
     """Refuse to change what has changed since the client read it; `shown` is what a GET returns now."""
-    if if_match is not None and not _names(if_match, _tag(shown.model_dump(mode="json")), weak=False):
+    tags = {each.strip() for each in (if_match or "*").split(",")}
+    # Weak tags never match (RFC 9110, 13.1.1).
+    if tags != {"*"} and _tag(shown.model_dump(mode="json")) not in tags:
         raise Problem(
             412, "precondition_failed", "this has changed since you read it; read it again, then decide"
         )

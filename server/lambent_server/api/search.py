@@ -19,7 +19,7 @@ def named(connection: Connection, tenant: Tenant, words: str) -> Select[Any]:
 
     PostgreSQL uses its index of `lower(name)` by itself.
     """
-    found = rows(tenant, scenes, scenes.c.id).where(scenes.c.name.icontains(words, autoescape=True))
+    matching_ids = rows(tenant, scenes, scenes.c.id).where(scenes.c.name.icontains(words, autoescape=True))
     if connection.dialect.name == "sqlite" and len(words) >= SHORTEST and _has_index(connection):
         # As one phrase, whatever characters it has. Joined, and not IN, which would collect all first.
         phrase = '"' + words.replace('"', '""') + '"'
@@ -27,8 +27,8 @@ def named(connection: Connection, tenant: Tenant, words: str) -> Select[Any]:
             scenes, scenes.c.id == _NUMBERS.c.scene_id
         )
         matching = _NAMES.c.scene_names.op("MATCH")(func.lower(phrase))
-        found = found.select_from(joined).where(matching)
-    return found
+        matching_ids = matching_ids.select_from(joined).where(matching)
+    return matching_ids
 
 
 def _has_index(connection: Connection) -> bool:

@@ -8,13 +8,14 @@ from urllib.parse import quote
 
 from fastapi import APIRouter, Path, Request, Response
 from fastapi.responses import StreamingResponse
+from lambent_pages import is_named
 from zipstream import ZipStream
 
 from lambent_server.api.problems import not_found
 from lambent_server.bundles.rows import require_bundle, show
 from lambent_server.database.schema import bundle_files
 from lambent_server.database.tenancy import Tenant, rows
-from lambent_server.http.blob_responses import RESPONSES, Asked, AskedOf, MatchHeader, matches, send_blob
+from lambent_server.http.blob_responses import RESPONSES, Asked, AskedOf, MatchHeader, send_blob
 from lambent_server.http.common import Id, ServicesOf, Sha, TenantOf, problems
 from lambent_server.services import Services
 from lambent_server.storage.store import Blob, damaged, find_blob
@@ -98,7 +99,7 @@ def get_bundle_archive(
         "content-disposition": f"attachment; filename*=UTF-8''{_named(name)}",
         "content-length": str(len(archive)),
     }
-    if matches(etag, if_none_match):
+    if is_named(etag, if_none_match):
         del headers["content-length"]
         return Response(status_code=304, headers=headers)
     # Before the response begins: a missing file is a problem then, and a broken download later.

@@ -21,18 +21,10 @@ def new_secret(prefix: str = "") -> str:
     return prefix + secrets.token_urlsafe(32)
 
 
-def read_or_create_secret(path: Path, prefix: str = "") -> str:
-    """Return the secret in `path`; creates one that only its owner can read if there is none.
-
-    Raises ServeError for a file without a secret: an empty secret would open the server to everyone.
-    """
-    return read_or_create(path, lambda: new_secret(prefix))
-
-
-def read_or_create(path: Path, make: Callable[[], str]) -> str:
+def read_or_create(path: Path, make: Callable[[], str] = new_secret) -> str:
     """Return the text in `path`, which only its owner can read; writes what `make` returns if there is none.
 
-    Raises ServeError for a file without text.
+    Raises ServeError for a file without text: an empty secret would open the server to everyone.
     """
     if not path.exists():
         write_secret(path, make())

@@ -46,7 +46,7 @@ def _with_driver(url: str) -> str:
 def _readable(file: Path | None) -> Path | None:
     """Return the path of a file; ValueError if this user cannot read it."""
     if file is not None and not (file.is_file() and os.access(file, os.R_OK)):
-        raise ValueError(f"{file} is no file that this user can read")
+        raise ValueError(f"{file} is not a file that this user can read")
     return file
 
 
@@ -70,7 +70,7 @@ def _host_or_network(entry: str) -> str:
 def _host_and_port(text: str | None) -> str | None:
     """Return an address such as "10.0.0.7:8421" or "[::]:8421"; ValueError if it is something else."""
     if text is not None and not re.fullmatch(r"(\[[0-9a-fA-F:]+\]|[A-Za-z0-9._-]+):[1-9][0-9]{0,4}", text):
-        raise ValueError(f"{text!r} is no host with a port, such as 10.0.0.7:8421")
+        raise ValueError(f"{text!r} is not a host with a port, such as 10.0.0.7:8421")
     return text
 
 
@@ -165,7 +165,7 @@ class Settings(BaseSettings):
     ray_token_file: LocalPath | None = None
     """File with the token of the cluster; default: as Ray itself (RAY_AUTH_TOKEN, ~/.ray/auth_token)."""
     ray_without_token: bool = False
-    """Use a cluster that obeys everybody who reaches it."""
+    """Use a cluster that runs the programs of anyone who reaches it."""
     ray_namespace: str | None = None
     """Namespace of our actors; default: one for all servers on a database."""
     ray_run_cpus: float = Field(default=1.0, gt=0)
@@ -368,11 +368,11 @@ class Settings(BaseSettings):
 
     @model_validator(mode="after")
     def _sign_in_is_possible(self) -> Self:
-        """Refuse settings with which nobody, or anybody, could sign in."""
+        """Refuse settings with which no one, or everyone, could sign in."""
         if self.oidc_issuer is not None and self.oidc_client_id is None:
             raise ValueError("oidc_issuer needs oidc_client_id, the name of this server at the provider")
         if self.login_header is not None and not self.trusted_proxies:
-            raise ValueError("login_header needs trusted_proxies: from any other address it is not believed")
+            raise ValueError("login_header needs trusted_proxies: it is ignored from any other address")
         return self
 
     @property

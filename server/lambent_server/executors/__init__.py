@@ -19,7 +19,7 @@ def is_placed(handle: Handle | None) -> TypeGuard[Handle]:
 
 
 class ExecutorAwayError(Exception):
-    """The executor cannot tell at present whether a process exists, or cannot start one."""
+    """The executor cannot say at present whether a process exists, or cannot start one."""
 
 
 def run_name(job_id: str, run: int) -> str:
@@ -48,7 +48,7 @@ class Launch:
 
 
 def told_in_environment(launch: Launch, settings: Settings) -> dict[str, Any]:
-    """Return what a run is told in `LAMBENT_RUN`, without what only its machine knows: folder and memory."""
+    """Return the contents of `LAMBENT_RUN` but for what only the run's machine knows: folder and memory."""
     return {
         "job_id": launch.job_id,
         "run": launch.run,
@@ -87,7 +87,7 @@ class Executor(Protocol):
     """Starts, monitors and stops run processes. It keeps no state that a restart must not lose."""
 
     runs_elsewhere: bool
-    """Whether runs are on other machines, and so go on when this one ends."""
+    """Whether runs are on other machines, and so continue when this one ends."""
 
     def room(self, own: Sequence[Handle], others: Sequence[Handle]) -> Room:
         """Return what is free beside this server's runs and those of the other servers."""
@@ -102,7 +102,7 @@ class Executor(Protocol):
         """Start a run process; raises OSError if that fails, ExecutorAwayError to try again later."""
 
     def sees(self, handle: Handle) -> bool:
-        """Return whether this executor can tell if the process exists; else `poll` must not be asked."""
+        """Return whether this executor can tell if the process exists; only then may `poll` be called."""
 
     def poll(self, handle: Handle, *, has_reported: bool = False) -> Gone | None:
         """Return None while the process exists; raises ExecutorAwayError if that is unknown at present.
@@ -117,10 +117,10 @@ class Executor(Protocol):
         """Return whether this server can take over the run of a server that died: not if it is tied to it."""
 
     def runs(self) -> frozenset[str]:
-        """Return the names of runs that may still have processes which nobody asks for any more."""
+        """Return the names of runs that may still have processes which no job needs any more."""
 
     def forget(self, run: str) -> None:
         """End what there still is of such a run."""
 
     def close(self) -> None:
-        """Stop looking after processes; they go on."""
+        """Stop monitoring processes, which continue."""

@@ -56,7 +56,7 @@ def _open_ray(settings: Settings, secret: str) -> Executor:
 
     if not settings.ray_without_token and probe(settings.ray_address) == "open":
         raise ServeError(
-            f"serve.ray_without_token: {settings.ray_address} runs the programs of everybody who can reach "
+            f"serve.ray_without_token: {settings.ray_address} runs the programs of anyone who can reach "
             "it; start the cluster with RAY_AUTH_MODE=token, or, if its network protects it, set "
             "LAMBENT_RAY_WITHOUT_TOKEN=true"
         )

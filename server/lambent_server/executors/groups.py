@@ -100,10 +100,10 @@ class Groups:
 def groups_or_none() -> Groups | None:
     """Return the groups; None, and a line in the log, where runs cannot have any."""
     try:
-        found = Groups.find()
+        groups = Groups.find()
     except GroupsMissingError as error:
         log.info("run_groups_missing", reason=str(error), instead="limits of each process")
         return None
-    found.sweep()
-    log.info("run_groups", folder=str(found.folder))
-    return found
+    groups.sweep()
+    log.info("run_groups", folder=str(groups.folder))
+    return groups

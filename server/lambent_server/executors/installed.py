@@ -1,4 +1,4 @@
-"""What of Lambent is installed, as one hash. Run as a program it prints it; needs the standard library only.
+"""The installed Lambent as one hash. Run as a program it prints it; needs the standard library only.
 
 Its text is also sent to machines that may have another version, or none.
 """
@@ -37,10 +37,10 @@ def installed() -> dict[str, str]:
                 digest.update(f"{package}/{name}\0".encode())
                 digest.update(hashlib.sha256(path.read_bytes()).digest())
     try:
-        found = version("lambent")
+        release = version("lambent")
     except PackageNotFoundError:
-        found = "?"
-    return {"version": found, "digest": digest.hexdigest()}
+        release = "?"
+    return {"version": release, "digest": digest.hexdigest()}
 
 
 if __name__ == "__main__":

@@ -74,13 +74,13 @@ class RayExecutor:
         self._cluster.start()
 
     def close(self) -> None:
-        """Stop looking at the cluster; runs go on."""
+        """Stop looking at the cluster; runs continue."""
         self._cluster.close()
 
     # What there is room for.
 
     def room(self, own: Sequence[Handle], others: Sequence[Handle]) -> ClusterRoom:
-        """Return what is free on the nodes; nothing while the cluster is away."""
+        """Return what is free on the nodes; nothing while the cluster is unavailable."""
         settings = self._settings
         memory_bytes = settings.run_memory_bytes or 0
         try:
@@ -92,13 +92,13 @@ class RayExecutor:
         room.limit(look.available)
         for actor in look.actors.values():
             if actor.answered:
-                room.use(actor.node, _needs(actor.needs))
+                room.use(actor.node, Needs(**actor.needs))
         homeless = [
             handle for handle in (*own, *others) if self._is_ours(handle) and not self._has_node(look, handle)
         ]
         for handle in homeless:
             if "needs" in handle:
-                room.use_somewhere(_needs(handle["needs"]))
+                room.use_somewhere(Needs(**handle["needs"]))
         room.allow_ahead(max(settings.ray_ahead - len(homeless), 0))
         return room
 
@@ -199,16 +199,16 @@ class RayExecutor:
         """Signal the process group: SIGTERM, or SIGKILL with `force`; a run without a node is taken back."""
         number = signal.SIGKILL if force else signal.SIGTERM
         try:
-            self._cluster.call("signal", _BRIEF_S, name=_name(handle), number=int(number))
+            self._cluster.call("signal", _BRIEF_S, name=handle["run"], number=int(number))
         except ExecutorAwayError as error:
             # It hears by its heartbeat that it has to end.
-            log.warning("ray_run_not_signalled", run=_name(handle), reason=str(error))
+            log.warning("ray_run_not_signalled", run=handle["run"], reason=str(error))
         self._cluster.hurry()
 
     # What became of runs.
 
     def sees(self, handle: Handle) -> bool:
-        """Return whether the run belongs to this cluster, and the cluster can be asked at present."""
+        """Return whether the run belongs to this cluster, and the cluster answers at present."""
         try:
             self._cluster.look()
         except ExecutorAwayError:
@@ -240,7 +240,7 @@ class RayExecutor:
         """
         if not self._is_ours(handle):
             raise ExecutorAwayError("the run belongs to another cluster")
-        run = _name(handle)
+        run = handle["run"]
         with self._lock:
             self._followed[run] = time.monotonic()
         look = self._look()
@@ -290,7 +290,7 @@ class RayExecutor:
         self._unfit = {node: since for node, since in self._unfit.items() if since > limit}
         return set(self._unfit)
 
-    # What nobody asks for any more.
+    # Runs that no job needs any more.
 
     def runs(self) -> frozenset[str]:
         """Return the names of the runs that have an actor, as of the last look."""
@@ -337,11 +337,3 @@ class RayExecutor:
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open("ab") as file:
                 file.write(data)
-
-
-def _name(handle: Handle) -> str:
-    return str(handle["run"])
-
-
-def _needs(given: Any) -> Needs:
-    return Needs(**given)

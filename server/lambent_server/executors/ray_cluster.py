@@ -1,4 +1,4 @@
-"""The server's line to a Ray cluster: what was seen last, over a process that is started again when lost."""
+"""The server's view of a Ray cluster, through a process that is started again when lost."""
 
 import contextlib
 import json
@@ -39,7 +39,7 @@ class Actor:
     node: str
     exit_code: int | None
     refused: str
-    needs: Mapping[str, float]
+    needs: Mapping[str, Any]
     log_left: int
 
 
@@ -57,7 +57,7 @@ class Look:
     """The cluster at one moment."""
 
     began: float
-    """Monotonic time before anything was asked."""
+    """Monotonic time before the first request."""
     actors: Mapping[str, Actor] = field(default_factory=dict)
     nodes: tuple[Node, ...] = ()
     available: Mapping[str, float] = field(default_factory=dict)
@@ -255,20 +255,20 @@ class Cluster:
             if access == "away":
                 raise ExecutorAwayError(f"{address} does not answer")
             if access == "open" and not self._settings.ray_without_token:
-                raise ExecutorAwayError(f"{address} obeys everybody: it has no token authentication")
+                raise ExecutorAwayError(f"{address} runs anyone's programs: it has no token authentication")
             self._link, timeout_s = RayProcess(self._settings, self._namespace), OPEN_TIMEOUT_S
         began = time.monotonic()
-        found = self._link.call("look", timeout_s, offsets=self._offsets())
+        seen = self._link.call("look", timeout_s, offsets=self._offsets())
         if timeout_s == OPEN_TIMEOUT_S:
-            log.info("ray_reached", address=address, namespace=self._namespace, nodes=len(found["nodes"]))
-        for name, actor in found["actors"].items():
+            log.info("ray_reached", address=address, namespace=self._namespace, nodes=len(seen["nodes"]))
+        for name, actor in seen["actors"].items():
             if actor["offset"] >= 0:
                 self._take(name, actor)
         self._look = Look(
             began=began,
-            actors={name: _actor(given) for name, given in found["actors"].items()},
-            nodes=tuple(Node(**given) for given in found["nodes"]),
-            available=found["available"],
+            actors={name: _actor(given) for name, given in seen["actors"].items()},
+            nodes=tuple(Node(**given) for given in seen["nodes"]),
+            available=seen["available"],
         )
         self.away = ""
 

@@ -1,6 +1,7 @@
 """A process that speaks with a Ray cluster for a server: requests and answers are lines of JSON.
 
-Ray ends a process whose cluster is away for a minute, and blocks its calls until then. This one may end.
+Ray ends a process whose cluster is unavailable for a minute, and blocks its calls until then. This one may
+end.
 
     python -m lambent_server.executors.ray_link ADDRESS NAMESPACE
 """

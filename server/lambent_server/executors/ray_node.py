@@ -24,10 +24,10 @@ from typing import Any
 _SHARE_OF_MEMORY = 0.9
 _LOG_PIECE_BYTES = 256 * 1024
 _KEPT_AFTER_END_S = 600.0
-"""How long an actor waits for somebody who asks how its run ended."""
+"""How long an actor waits for a server that asks how its run ended."""
 _STALE_AFTER_S = 3600.0
 _CHECK_TIMEOUT_S = 60.0
-# The kernel kills the run when the actor is gone: Ray would give its GPUs to somebody else.
+# The kernel kills the run when the actor is gone: Ray would give its GPUs to another run.
 _GUARD = """
 import ctypes, os, signal, sys
 ctypes.CDLL(None).prctl(1, signal.SIGKILL)
@@ -131,13 +131,13 @@ class RunHolder:
         )
         if done.returncode:
             return f"{python} does not run: {done.stderr.strip()[-300:]}"
-        found = json.loads(done.stdout.splitlines()[-1])
-        if found == wanted:
+        here = json.loads(done.stdout.splitlines()[-1])
+        if here == wanted:
             return ""
-        if not found["version"]:
+        if not here["version"]:
             return f"Lambent with its extra [worker] is not installed for {python}"
         return (
-            f"version {found['version']} ({found['digest'][:12]}) is installed for {python}, and the server "
+            f"version {here['version']} ({here['digest'][:12]}) is installed for {python}, and the server "
             f"has {wanted['version']} ({wanted['digest'][:12]}); install the same wheel on both"
         )
 
@@ -230,11 +230,11 @@ def _end_session(leader: int) -> None:
 
 
 def _make_private(folder: Path) -> None:
-    """Make a folder that no other user can enter; ValueError if it is somebody else's."""
+    """Make a folder that no other user can enter; ValueError if it belongs to another user."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    found = folder.lstat()
-    if found.st_uid != os.getuid() or found.st_mode & 0o022 or folder.is_symlink():
-        raise ValueError(f"{folder} has to be a folder of this user in which nobody else can write")
+    state = folder.lstat()
+    if state.st_uid != os.getuid() or state.st_mode & 0o022 or folder.is_symlink():
+        raise ValueError(f"{folder} must be a folder of this user that no one else can write to")
 
 
 @contextlib.contextmanager

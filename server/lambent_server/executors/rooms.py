@@ -1,4 +1,4 @@
-"""What is free for further runs: places and GPUs of one machine, or what the nodes of a cluster have."""
+"""Room for further runs: places and GPUs of one machine, or the resources of a cluster's nodes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class Needs:
 
 
 class ClusterRoom:
-    """What the nodes of a cluster have free, as far as it is known who uses what where."""
+    """The free resources of a cluster's nodes, without those of runs whose node is known."""
 
     def __init__(self, nodes: Mapping[str, Mapping[str, float]], cpus: float, memory_bytes: int) -> None:
         """Begin with empty nodes: resources by node and name. A run needs `cpus` and `memory_bytes`."""

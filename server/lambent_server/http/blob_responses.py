@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import structlog
 from fastapi import Depends, Header, Request, Response
 from fastapi.responses import StreamingResponse
-from lambent_pages import accepted_encodings
+from lambent_pages import accepted_encodings, is_named
 
 from lambent_server.api.problems import Problem
 from lambent_server.http.common import problems
@@ -114,7 +114,7 @@ def send_blob(services: Services, blob: Blob, asked: Asked) -> Response:
     }
     # A client that has read the file before there was a compressed copy need not read it again.
     for etag in (packed, own) if takes_packed else (own,):
-        if matches(etag, asked.if_none_match):
+        if is_named(etag, asked.if_none_match):
             return Response(status_code=304, headers={"etag": etag, **headers})
     if (asked.redirect or services.settings.store_redirect == "always") and services.settings.store_direct:
         address = services.store.address(blob, services.settings.store_url_s)
@@ -166,9 +166,3 @@ def _response(content: Iterator[bytes] | None, status: int, headers: dict[str, s
     if content is None:
         return Response(status_code=status, headers=headers, media_type=blob.media_type)
     return StreamingResponse(content, status_code=status, headers=headers, media_type=blob.media_type)
-
-
-def matches(etag: str, if_none_match: str | None) -> bool:
-    """Return whether an If-None-Match header names an ETag."""
-    tags = {tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")}
-    return etag in tags or "*" in tags

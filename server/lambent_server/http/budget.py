@@ -1,4 +1,4 @@
-"""How many requests of each kind are in progress, in all and of each client.
+"""The requests of each kind that are in progress, in all and of each client.
 
 A kind never uses the places of another, and a client only its share of a kind. Requests that operators and
 browsers depend on (`/healthz`, `/readyz`, sign-in) take none of these places.
@@ -26,7 +26,7 @@ SIGN_INS = "sign_ins"
 
 # Part of all connections that may belong to requests of these kinds; the rest wait for their first byte.
 BUSY_SHARE = 0.75
-# Part of all connections on which somebody may be signing in.
+# Part of all connections on which users may be signing in.
 SIGN_IN_SHARE = 1 / 32
 # A body of at most this many bytes counts as being sent only if it does not come at once.
 SMALL_BODY_BYTES = 64 * 1024

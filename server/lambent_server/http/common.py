@@ -3,7 +3,7 @@
 from typing import Annotated, Any
 
 from fastapi import Depends, Path, Request
-from starlette.convertors import Convertor, register_url_convertor
+from starlette.convertors import StringConvertor, register_url_convertor
 
 from lambent_server.accounts.who import Who
 from lambent_server.api.messages import ProblemDocument
@@ -12,16 +12,10 @@ from lambent_server.database.tenancy import Tenant
 from lambent_server.services import Services
 
 
-class _Identifier(Convertor[str]):
+class _Identifier(StringConvertor):
     """A path segment without a colon, so that `/jobs/x:cancel` is never the job "x:cancel"."""
 
     regex = "[^/:]+"
-
-    def convert(self, value: str) -> str:
-        return value
-
-    def to_string(self, value: str) -> str:
-        return value
 
 
 register_url_convertor("id", _Identifier())

@@ -39,17 +39,17 @@ def _pointer(location: tuple[Any, ...]) -> str:
 
 
 def _validation(error: RequestValidationError) -> Problem:
-    found = error.errors()
-    if any(each["type"] == "json_invalid" for each in found):
+    faults = error.errors()
+    if any(each["type"] == "json_invalid" for each in faults):
         return Problem(
-            400, "invalid_json", "the body is not valid JSON", errors=(Detail("#", str(found[0]["msg"])),)
+            400, "invalid_json", "the body is not valid JSON", errors=(Detail("#", str(faults[0]["msg"])),)
         )
     details = tuple(
         Detail(_pointer(each["loc"]), str(each["msg"]).removeprefix("Value error, "))
-        for each in found[:MAX_ERRORS]
+        for each in faults[:MAX_ERRORS]
     )
-    code = UNCLEAR if {each["type"] for each in found} == {UNCLEAR} else "invalid_request"
-    return Problem(422, code, f"{len(found)} value(s) cannot be used", errors=details)
+    code = UNCLEAR if {each["type"] for each in faults} == {UNCLEAR} else "invalid_request"
+    return Problem(422, code, f"{len(faults)} value(s) cannot be used", errors=details)
 
 
 def allowed_methods(request: Request) -> list[str]:

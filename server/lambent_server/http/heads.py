@@ -6,7 +6,7 @@ HEAD = "head"
 """In the state of a request that is answered like a GET, but without a body."""
 
 
-class _Enough(Exception):  # noqa: N818 (it ends a response, and is no mistake)
+class _Enough(Exception):  # noqa: N818 (it ends a response, and is not a mistake)
     """The headers are sent, and nothing more is wanted."""
 
 

@@ -162,9 +162,9 @@ def who_of_key(services: Services, key: str) -> Who | None:
 def who_of_session(database: Database, token: str, login_name: str | None = None) -> Who | None:
     """Return who uses a browser session, or None if it is invalid or no longer valid.
 
-    `login_name` is whom a trusted proxy names in this request: a session of somebody whom the proxy has
-    vouched for is valid only while it names them. The role of a user is that of now: who has left the
-    organisation is signed out of it at once, and so is every browser that opened a link of theirs.
+    `login_name` is the user whom a trusted proxy names in this request: a session that began by the proxy's
+    word is valid only while the proxy names the same user. The role of a user is that of now: who has left
+    the organisation is signed out at once, and so is every browser that opened a link of theirs.
     """
     columns = (members.c.role, users.c.disabled_at, users.c.issuer, users.c.subject)
     statement = with_user(with_organisation(sessions, *columns), sessions)

@@ -1,18 +1,16 @@
-"""The header in which a proxy names who has signed in there; it is believed from trusted proxies only."""
+"""The header in which a proxy names the user who has signed in there; only trusted proxies may send it."""
 
 import hmac
 import ipaddress
-from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
 
 import structlog
 
 from lambent_server.core.settings import ServeError, Settings
+from lambent_server.http.proxies import address_of
+from lambent_server.http.request import App, Receive, Scope, Send
 
 log = structlog.get_logger()
-
-Scope = MutableMapping[str, Any]
-App = Callable[[Scope, Any, Any], Awaitable[None]]
 
 LOGIN_NAME = "login_name"
 LOGIN_ORGANISATIONS = "login_organisations"
@@ -71,7 +69,7 @@ class LoginHeader:
         self._secret = login_secret(settings)
         self._names = {key: name.lower().encode() for key, name in given.items() if name}
 
-    async def __call__(self, scope: Scope, receive: Any, send: Any) -> None:
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request."""
         if scope["type"] == "http" and LOGIN_NAME in self._names and self._trusts(scope):
             state = scope.setdefault("state", {})
@@ -88,12 +86,9 @@ class LoginHeader:
 
     def _trusts(self, scope: Scope) -> bool:
         """Return whether a request is the proxy's own: from its address, with the secret if there is one."""
-        try:
-            address = ipaddress.ip_address(scope["client"][0])
-        except (KeyError, TypeError, ValueError):
-            return False
-        address = getattr(address, "ipv4_mapped", None) or address
-        return any(address in network for network in self._networks) and self._knows_secret(scope)
+        address = address_of(str(scope["client"][0])) if scope.get("client") else None
+        trusted = address is not None and any(address in network for network in self._networks)
+        return trusted and self._knows_secret(scope)
 
     def _knows_secret(self, scope: Scope) -> bool:
         if self._secret is None:

@@ -1,21 +1,15 @@
-"""The layer that answers writes with 503 while operators maintain the server; reads and runs go on."""
+"""The layer that answers writes with 503 during maintenance; reads and runs continue."""
 
 import re
-from collections.abc import Awaitable, Callable, MutableMapping
-from typing import Any
 
 from anyio import to_thread
 
 from lambent_server.api.problems import Problem
 from lambent_server.cluster.server_state import MAINTENANCE, Notices
+from lambent_server.http.request import SAFE, App, Receive, Scope, Send
 
-Scope = MutableMapping[str, Any]
-App = Callable[[Scope, Any, Any], Awaitable[None]]
-
-_SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 # POSTs that change nothing but who is logged in, or nothing at all.
 _READS = re.compile(r"/v1/(login|logout|login-links|estimates|me:switch)")
-_CODE = "maintenance"
 
 
 class Maintenance:
@@ -25,9 +19,9 @@ class Maintenance:
         self._app = app
         self._notices = notices
 
-    async def __call__(self, scope: Scope, receive: Any, send: Any) -> None:
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request, or refuse it."""
-        writes = scope["type"] == "http" and scope["method"] not in _SAFE
+        writes = scope["type"] == "http" and scope["method"] not in SAFE
         if writes and _READS.fullmatch(scope["path"]) is None:
             known = self._notices.known()
             if known is None:
@@ -36,8 +30,8 @@ class Maintenance:
             if notice is not None:
                 raise Problem(
                     503,
-                    _CODE,
-                    notice.message or "the server is being maintained and accepts no changes; reading works",
+                    "maintenance",
+                    notice.message or "the server is under maintenance and accepts no changes; reading works",
                     retryable=True,
                     headers={"retry-after": str(notice.retry_after_s)},
                 )

@@ -34,7 +34,7 @@ from lambent_server.storage.outages import away
 log = structlog.get_logger()
 
 CSRF_HEADER = "x-lambent-csrf"
-# Refusals of what somebody may not do; mistakes in requests are not recorded.
+# Refusals for lack of rights; mistakes in requests are not recorded.
 _RECORDED = frozenset({"scope_missing", "key_needed", "csrf"})
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(:\d{1,5})?", re.ASCII)
 _SENT_FILE = re.compile(r"/v1/scenes/[^/]+/files/[^/]+")
@@ -86,12 +86,12 @@ class Gate:
             await self._record_refusal(scope)
 
     async def _record_refusal(self, scope: Scope) -> None:
-        """Record that somebody known was not allowed to do something."""
+        """Record that a known client was not allowed to do something."""
         who, code = scope["state"].get("who"), scope["state"].get("refused", "")
         if who is None or code not in _RECORDED:
             return
         try:
-            # So that nobody fills the log with refused reads, which nothing else limits.
+            # So that no one fills the log with refused reads, which nothing else limits.
             self._rates.take(who.tenant.id, scope["state"]["credential"])
         except Problem:
             log.warning("refusal_not_recorded", request=who.request_id, code=code)
@@ -115,7 +115,7 @@ class Gate:
         client = client_of_address(scope["client"][0] if scope.get("client") else "unknown")
         place.take(client)
         if place.kind == SIGN_INS:
-            # Anybody may ask for these, and each costs a write, or a question to the provider.
+            # Open to everyone, and each costs a write, or a request to the provider.
             self._rates.take_sign_in(client)
         allowed = await self._preflight(scope, headers)
         if allowed is not None:
@@ -147,8 +147,8 @@ class Gate:
         hosts = headers.getlist("host")
         # RFC 9112, 3.2: a proxy may have looked at the other one.
         if len(hosts) != 1 or not hosts[0]:
-            found = f"{len(hosts)} Host headers" if len(hosts) > 1 else "no Host header"
-            raise Problem(400, "header_invalid", f"the request has {found}; send exactly one")
+            given = f"{len(hosts)} Host headers" if len(hosts) > 1 else "no Host header"
+            raise Problem(400, "header_invalid", f"the request has {given}; send exactly one")
         host = hosts[0]
         if _HOST.fullmatch(host) is None:
             # Links and redirects are made of it.
@@ -171,8 +171,8 @@ class Gate:
     async def _identify(self, scope: Scope, headers: Headers) -> None:
         if PUBLIC.fullmatch(scope["path"]):
             return
-        found = await self._who_of(scope, headers)
-        if found is None:
+        client = await self._who_of(scope, headers)
+        if client is None:
             raise Problem(
                 401,
                 "not_authenticated",
@@ -182,7 +182,7 @@ class Gate:
             )
         state = scope["state"]
         address = scope["client"][0] if scope.get("client") else ""
-        state["who"] = who = replace(found, address=address, request_id=state["request_id"])
+        state["who"] = who = replace(client, address=address, request_id=state["request_id"])
         state["tenant"] = who.tenant
         if who.kind in ("session", "user") and scope["method"] not in SAFE:
             self._check_same_site(headers)

@@ -11,7 +11,7 @@ Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 
 class Proxies:
-    """ASGI middleware that believes the headers of proxies, and ignores those of everybody else."""
+    """ASGI middleware that applies the headers of trusted proxies, and ignores those of everyone else."""
 
     def __init__(self, app: App, networks: Sequence[str]) -> None:
         self._app = app
@@ -32,7 +32,7 @@ class Proxies:
         await self._app(scope, receive, send)
 
     def _client(self, hops: list[str]) -> str | None:
-        """Return the last address that is not a proxy's: what is before it, anybody may have written."""
+        """Return the last address that is not a proxy's: the client may have made up those before it."""
         addresses = [address_of(hop) for hop in hops]
         for address in reversed(addresses):
             if address is None:

@@ -1,4 +1,4 @@
-"""How fast one key, browser or organisation may write, and an address sign in: buckets of tokens in memory.
+"""Limits on how fast a key, browser or organisation may write, and an address sign in: token buckets.
 
 Each server has its own buckets, so that with several of them a client may write as many times as fast.
 """
@@ -34,7 +34,7 @@ class Rates:
         )
 
     def take_sign_in(self, client: str) -> None:
-        """Count one request of somebody unknown who signs in; raise the problem if there are too many.
+        """Count one request to sign in; raise the problem if there are too many.
 
         `client` is a name of `budget.client_of_address`.
         """

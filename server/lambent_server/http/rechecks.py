@@ -1,4 +1,4 @@
-"""Whether those who hold open streams may still read: looked up once for all streams of one credential."""
+"""Checks that clients of open streams may still read, made once for all streams of one credential."""
 
 import time
 from collections.abc import Callable, Hashable
@@ -8,7 +8,7 @@ from lambent_server.accounts.who import Who
 _FORGET_ABOVE = 10_000
 
 Identify = Callable[[], Who | None]
-"""Looks up again who makes a request; None if nobody is let in that way any more."""
+"""Looks up again who makes a request; None if that is no longer accepted."""
 
 
 class Rechecks:

@@ -185,21 +185,19 @@ class Exchange:
             self.stalled = self._cut = True
             raise OSError("the client does not accept the response") from error
 
-    async def answer(self, status: int, headers: dict[str, str]) -> None:
-        """Respond without a body."""
+    async def answer(self, status: int, headers: dict[str, str], body: bytes = b"") -> None:
+        """Respond."""
         pairs = [(name.encode(), value.encode()) for name, value in headers.items()]
         await self.send({"type": "http.response.start", "status": status, "headers": pairs})
-        await self.send({"type": "http.response.body", "body": b""})
+        await self.send({"type": "http.response.body", "body": body})
 
     async def refuse(self, problem: Problem) -> None:
         """Respond with a problem, unless a response has already started."""
         if self._answered or self._cut:
             return
         body = json.dumps(problem.document(self.id)).encode()
-        pairs = {"content-type": MEDIA_TYPE, "content-length": str(len(body)), **problem.headers}
-        headers = [(name.encode(), value.encode()) for name, value in pairs.items()]
-        await self.send({"type": "http.response.start", "status": problem.status, "headers": headers})
-        await self.send({"type": "http.response.body", "body": body})
+        headers = {"content-type": MEDIA_TYPE, "content-length": str(len(body)), **problem.headers}
+        await self.answer(problem.status, headers, body)
 
     def observe(self) -> None:
         """Count the request, and log it if it changed something or failed."""

@@ -9,8 +9,8 @@ from lambent_server.accounts.scopes import ADMIN, READ, RENDER, SUBMIT, ScopeNam
 from lambent_server.accounts.who import Who
 from lambent_server.api.problems import Problem
 
-# By the name of the route's function, which is its operation in the description. None: nobody has to say who
-# they are (`request.PUBLIC` has their paths).
+# By the name of the route's function, which is its operation in the description. None: no key or session is
+# needed (`request.PUBLIC` has their paths).
 SCOPES: dict[str, ScopeName | None] = {
     # What the server says about itself
     "get_version": None,
@@ -118,7 +118,7 @@ async def check_scope(request: Request) -> None:
 
 
 def missing(needed: ScopeName, who: Who) -> Problem:
-    """Return the problem of somebody without a scope."""
+    """Return the problem of a client without a scope."""
     given = ", ".join(sorted(who.scopes)) or "none"
     return Problem(
         403,

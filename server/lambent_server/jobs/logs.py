@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import structlog
+from lambent_core.files import file_sha256
 from sqlalchemy import Connection, delete, func, insert, select, update
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -24,7 +25,7 @@ from lambent_server.database.schema import jobs
 from lambent_server.database.tenancy import Tenant, across_tenants, add_if_absent, remove, rows
 from lambent_server.jobs.rows import is_observed
 from lambent_server.services import Services
-from lambent_server.storage.store import discard, hash_file
+from lambent_server.storage.store import discard
 
 log = structlog.get_logger()
 
@@ -236,7 +237,7 @@ class LogCopier:
         path = self._services.settings.scratch / f"{job_id}-{run}.log"
         try:
             path.write_bytes(data[-KEPT_BYTES:])
-            sha256, size = hash_file(path), path.stat().st_size
+            sha256, size = file_sha256(path), path.stat().st_size
             self._services.store.put_file(database.write, tenant, path, sha256, "text/plain")
         finally:
             path.unlink(missing_ok=True)

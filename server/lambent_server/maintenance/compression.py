@@ -139,8 +139,8 @@ def _known(services: Services, sha256: str) -> int | None:
         bundle_files.c.sha256 == sha256, bundle_files.c.gzip_bytes >= 0
     )
     with services.database.read() as connection:
-        found = connection.execute(statement).scalar_one()
-    return None if found is None else int(found)
+        largest = connection.execute(statement).scalar_one()
+    return None if largest is None else int(largest)
 
 
 def _set(services: Services, sha256: str, gzip_bytes: int, token: str | None = None) -> bool:

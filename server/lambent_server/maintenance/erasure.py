@@ -1,9 +1,9 @@
 """Deletion of an organisation with everything that belongs to it, down to the last byte.
 
-First nobody gets in any more, then its jobs are cancelled; once no process is left, every row goes in one
-transaction, whatever table it is in. What somebody still does who got in before is rolled back, because
-nothing is recorded of an organisation that is closed. The sweep then removes its blobs, as it removes any
-that nothing refers to: bytes that another organisation has too stay for that one.
+First it is closed, then its jobs are cancelled; once no process is left, every row is deleted in one
+transaction, whatever table it is in. A request that began before is rolled back, because nothing is recorded
+of an organisation that is closed. The sweep then removes its blobs, as it removes any that nothing refers to:
+bytes that another organisation has too stay for that one.
 """
 
 import shutil
@@ -15,7 +15,6 @@ from lambent_server.accounts import audit, organisations, usage
 from lambent_server.accounts.who import Who
 from lambent_server.api.problems import conflict
 from lambent_server.core.clock import now
-from lambent_server.database import blob_tables
 from lambent_server.database.columns import metadata
 from lambent_server.database.people_schema import (
     audit_entries,
@@ -32,8 +31,6 @@ from lambent_server.jobs.rows import CANCELLING, FINAL, is_unfinished
 from lambent_server.receiving.direct import folder_of
 from lambent_server.services import Services
 
-assert blob_tables.blob_claims.metadata is metadata, "all tables are known once their modules are imported"
-
 # Removed in another way: by the sweep, by their own module, or when nothing adds to them any more.
 _LATER = frozenset({blobs, garbage, usage_sums, audit_entries, audit_heads, audit_permits, job_counts})
 
@@ -45,17 +42,17 @@ def tables_of_tenants() -> list[Table]:
 
 def count(connection: Connection, tenant: Tenant) -> dict[str, int]:
     """Return how many rows of an organisation each table has; tables without any are left out."""
-    found = {
+    counts = {
         table.name: connection.execute(rows(tenant, table, func.count())).scalar_one()
         for table in tables_of_tenants()
     }
-    return {name: int(num_rows) for name, num_rows in sorted(found.items()) if num_rows}
+    return {name: int(num_rows) for name, num_rows in sorted(counts.items()) if num_rows}
 
 
 def close(services: Services, who: Who) -> int:
-    """Let nobody in any more, cancel all jobs, and return how many still have a process or have not ended.
+    """Close an organisation, cancel its jobs, and return how many still have a process or have not ended.
 
-    It is the organisation of `who`, the one who does it.
+    It is that of `who`.
     """
     tenant = who.tenant
     # Apart from the jobs: whoever has locked one of them may wait for the log, which this locks.
@@ -65,8 +62,8 @@ def close(services: Services, who: Who) -> int:
             audit.record(connection, who, "org close", tenant.id)
     with services.database.read() as connection:
         unfinished = rows(tenant, jobs, jobs.c.id).where(is_unfinished()).order_by(jobs.c.id)
-        found = list(connection.execute(unfinished).scalars())
-    for job_id in found:
+        job_ids = list(connection.execute(unfinished).scalars())
+    for job_id in job_ids:
         with services.database.write() as connection:
             job = require_job(connection, tenant, job_id, lock=True)
             # Of one that is being cancelled this waits for the end only.
@@ -93,7 +90,7 @@ def erase(services: Services, who: Who) -> None:
         audit.lock(connection, tenant)
         if organisations.require(connection, tenant)["closed_at"] is None:
             raise conflict(
-                "organisation_open", f"close {tenant.id} first: nobody may add something meanwhile"
+                "organisation_open", f"close {tenant.id} first, so that nothing is added meanwhile"
             )
         busy = _going_on(connection, tenant)
         if busy:

@@ -54,7 +54,7 @@ def rules_of(connection: Connection, tenant: Tenant) -> dict[Kind, float]:
 
 def due(services: Services, tenant: Tenant, rules: Mapping[Kind, float], limit: int = AT_ONCE) -> list[Due]:
     """Return what the rules would delete now, oldest first, at most `limit` of each kind."""
-    found: list[Due] = []
+    things: list[Due] = []
     with services.database.read() as connection:
         for kind in KINDS:
             if kind not in rules:
@@ -64,8 +64,8 @@ def due(services: Services, tenant: Tenant, rules: Mapping[Kind, float], limit: 
                 pairs = _old_logs(services, connection, tenant, before, limit)
             else:
                 pairs = _pairs(connection, _old(tenant, kind, before), limit)
-            found += [Due(kind=kind, id=identifier, since=at) for identifier, at in pairs.items()]
-    return found
+            things += [Due(kind=kind, id=identifier, since=at) for identifier, at in pairs.items()]
+    return things
 
 
 def _old(tenant: Tenant, kind: Kind, before: float) -> Select[Any]:
@@ -96,15 +96,15 @@ def _old_logs(
     """
     ended = _old(tenant, "logs", before)
     copied = jobs.c.id.in_(rows(tenant, run_logs, run_logs.c.job_id))
-    found = _pairs(connection, ended.where(copied), limit)
+    with_logs = _pairs(connection, ended.where(copied), limit)
     folders = sorted(folder.name for folder in services.settings.runs.iterdir())
     for start in range(0, len(folders), AT_ONCE):
-        if len(found) >= limit:
+        if len(with_logs) >= limit:
             break
         some = folders[start : start + AT_ONCE]
         here = _pairs(connection, ended.where(jobs.c.id.in_(some)), AT_ONCE)
-        found |= {job_id: at for job_id, at in here.items() if _logs(services, job_id)}
-    return dict(list(found.items())[:limit])
+        with_logs |= {job_id: at for job_id, at in here.items() if _logs(services, job_id)}
+    return dict(list(with_logs.items())[:limit])
 
 
 def _logs(services: Services, job_id: str) -> list[Path]:
@@ -122,11 +122,9 @@ def delete(services: Services, who: Who, each: Due) -> bool:
     table = {"jobs": jobs, "logs": jobs, "scenes": scenes, "bundles": bundles}[each.kind]
     try:
         with services.database.write() as connection:
-            row = connection.execute(
-                rows(tenant, table).where(table.c.id == each.id).with_for_update()
-            ).mappings()
-            found = row.one_or_none()
-            if found is None or KEEP in (found["labels"] or {}):
+            statement = rows(tenant, table).where(table.c.id == each.id).with_for_update()
+            row = connection.execute(statement).mappings().one_or_none()
+            if row is None or KEEP in (row["labels"] or {}):
                 return False
             if each.kind == "jobs":
                 removals.delete_job(connection, tenant, each.id)
@@ -135,7 +133,7 @@ def delete(services: Services, who: Who, each: Due) -> bool:
             elif each.kind == "logs":
                 forget_logs(connection, tenant, each.id)
             else:
-                scene_rows.delete(connection, tenant, dict(found))
+                scene_rows.delete(connection, tenant, dict(row))
             audit.record(connection, who, "retention", each.id, details={"kind": each.kind})
     except Problem as problem:
         # An unfinished job needs it: it is due again in the next round.

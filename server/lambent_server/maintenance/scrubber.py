@@ -1,4 +1,4 @@
-"""A slow reader of everything in the store, which finds damaged bytes before anybody needs them."""
+"""A slow reader of everything in the store, which finds damaged bytes before they are needed."""
 
 import threading
 import time
@@ -49,24 +49,24 @@ class Scrubber:
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
-            found: Sequence[tuple[str, int]] = ()
+            checked: Sequence[tuple[str, int]] = ()
             try:
                 if self._leads():
-                    found = self.turn()
+                    checked = self.turn()
             except _EndedError:
                 return
             except (SQLAlchemyError, OSError) as error:
                 # The database or the store is unavailable; the same blobs are due in the next round.
                 report("scrub_failed", error)
-                found = ()
-            if not found:
+                checked = ()
+            if not checked:
                 self._stopping.wait(TICK_S)
 
     def turn(self) -> Sequence[tuple[str, int]]:
         """Check some blobs that are due, and return their hashes and sizes."""
-        found = due(self._services)
+        blobs_due = due(self._services)
         checks = self._services.store.checks
-        for sha256, size_bytes in found:
+        for sha256, size_bytes in blobs_due:
             checks.scrub(sha256, size_bytes, BLOBS, self._pace)
             copy = checks.version(sha256, GZIP)
             if copy is not None:
@@ -75,7 +75,7 @@ class Scrubber:
             with self._services.database.write() as connection:
                 mine = update(blob_claims).where(blob_claims.c.sha256 == sha256)
                 connection.execute(mine.values(checked_at=now()))
-        return found
+        return blobs_due
 
     def _pace(self, num_bytes: int) -> None:
         """Wait as long as so many bytes take at the rate of the settings."""
@@ -104,5 +104,5 @@ def due(services: Services) -> Sequence[tuple[str, int]]:
     )
     statement = select(blobs.c.sha256, size).where(blobs.c.sha256.in_(select(oldest.c.sha256)))
     with services.database.read() as connection:
-        found = connection.execute(statement.group_by(blobs.c.sha256)).all()
-    return [(sha256, int(num_bytes)) for sha256, num_bytes in found]
+        sizes = connection.execute(statement.group_by(blobs.c.sha256)).all()
+    return [(sha256, int(num_bytes)) for sha256, num_bytes in sizes]

@@ -31,14 +31,14 @@ def get_limits(services: ServicesOf, tenant: TenantOf) -> Limits:
     settings = services.settings
     computed = {"max_gpus", "max_queued_jobs", "scene_suffixes", "quotas"}
     with services.database.read() as connection:
-        found = _quotas(services, connection, tenant)
+        quotas_now = _quotas(services, connection, tenant)
         max_gpus = job_queries.max_gpus(connection, services)
     return Limits(
         **{name: getattr(settings, name) for name in set(Limits.model_fields) - computed},
         max_gpus=max_gpus,
-        max_queued_jobs=next(int(each.limit or 0) for each in found if each.name == quotas.JOBS),
+        max_queued_jobs=next(int(each.limit or 0) for each in quotas_now if each.name == quotas.JOBS),
         scene_suffixes=sorted(SCENE_SUFFIXES),
-        quotas=found,
+        quotas=quotas_now,
     )
 
 
@@ -76,10 +76,10 @@ def get_version(services: ServicesOf) -> Version:
 
 @router.get("/v1/notices", responses=problems())
 def get_notices(services: ServicesOf, tenant: TenantOf) -> Notices:
-    """Return what operators have told all servers: whether runs start, and whether changes are accepted."""
+    """Return the notices of the operators: whether runs start, and whether changes are accepted."""
     with services.database.read() as connection:
-        found = read(connection)
-    shown = {name: Notice(since=rfc3339(each.since), message=each.message) for name, each in found.items()}
+        notices = read(connection)
+    shown = {name: Notice(since=rfc3339(each.since), message=each.message) for name, each in notices.items()}
     return Notices(drain=shown.get(DRAIN), maintenance=shown.get(MAINTENANCE))
 
 
@@ -113,7 +113,7 @@ async def get_readiness(request: Request) -> JSONResponse:
     layers = getattr(request.app.state, "sandbox", None)
     if layers is not None:
         checks["sandbox"] = "partial" if layers.missing else "ok"
-    # Somebody wants it so, and reads are answered: neither affects the status.
+    # Operators want it so, and reads are answered: neither affects the status.
     otherwise = "off" if checks["database"] == "ok" else "unknown"
     checks |= {name: "on" if name in told else otherwise for name in (DRAIN, MAINTENANCE)}
     health = Health(status="ok" if well else "unavailable", checks=checks)

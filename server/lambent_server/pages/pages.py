@@ -4,7 +4,7 @@ from typing import Annotated
 
 import lambent_pages
 from fastapi import APIRouter, Header, Path, Response
-from starlette.convertors import Convertor, register_url_convertor
+from starlette.convertors import StringConvertor, register_url_convertor
 from starlette.exceptions import HTTPException
 
 router = APIRouter(include_in_schema=False)
@@ -14,16 +14,10 @@ EncodingHeader = Annotated[str | None, Header(alias="Accept-Encoding", max_lengt
 AcceptHeader = Annotated[str | None, Header(alias="Accept", max_length=2000)]
 
 
-class _PagePath(Convertor[str]):
+class _PagePath(StringConvertor):
     """A path outside the REST interface."""
 
     regex = "(?!v1/)[A-Za-z0-9._/-]+"
-
-    def convert(self, value: str) -> str:
-        return value
-
-    def to_string(self, value: str) -> str:
-        return value
 
 
 register_url_convertor("page", _PagePath())
@@ -47,16 +41,14 @@ def get_page(
 
 
 def _send(path: str, if_none_match: str | None, accept_encoding: str | None, *, accept: str) -> Response:
-    page = lambent_pages.find(path, accept_encoding=accept_encoding)
-    if page is None:
-        if path.endswith(".html") and not lambent_pages.are_built():
-            absent = lambent_pages.not_built()
-            return Response(absent.content, status_code=503, headers=absent.headers)
+    page, status = lambent_pages.find(path, accept_encoding=accept_encoding), 200
+    if page is None and path.endswith(".html") and not lambent_pages.are_built():
+        page, status = lambent_pages.not_built(), 503
+    elif page is None:
         # Browsers name the type when a person follows a link, and not when a page asks for a file.
-        if "text/html" in accept:
-            absent = lambent_pages.not_found()
-            return Response(absent.content, status_code=404, headers=absent.headers)
-        raise HTTPException(404)
-    if lambent_pages.is_current(page, if_none_match):
+        if "text/html" not in accept:
+            raise HTTPException(404)
+        page, status = lambent_pages.not_found(), 404
+    elif lambent_pages.is_named(page.headers["etag"], if_none_match):
         return Response(status_code=304, headers=page.headers)
-    return Response(page.content, headers=page.headers)
+    return Response(page.content, status, page.headers)

@@ -9,16 +9,16 @@ knows what room was kept for them (`reservations`).
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from urllib.parse import quote
 
 from sqlalchemy import Connection
 
 from lambent_server.api.problems import Problem
-from lambent_server.core.clock import now
+from lambent_server.core.clock import now, rfc3339
 from lambent_server.core.settings import Settings
 from lambent_server.database.tenancy import Tenant
 from lambent_server.storage.content_checks import Write
+from lambent_server.storage.messages import FileUpload, UploadPart
 from lambent_server.storage.s3 import MAX_COPY_BYTES, S3Bucket, Version
 from lambent_server.storage.store import Admission, Blob, BlobStore, find_blob
 
@@ -26,28 +26,6 @@ FOLDER = "uploads"
 MAX_PARTS = 10_000
 # Added to the name of bytes whose hash the bucket has not verified.
 _UNVERIFIED = ".unverified"
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Part:
-    """A range of a file, and where to send it."""
-
-    number: int
-    """From 1; 0 for a whole file."""
-    offset: int
-    size_bytes: int
-    url: str
-    headers: Mapping[str, str]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Offer:
-    """What is still to be sent of a file; no parts if only its completion has to be reported."""
-
-    sha256: str
-    size_bytes: int
-    parts: tuple[Part, ...]
-    expires_at: float
 
 
 class DirectUploads:
@@ -58,7 +36,7 @@ class DirectUploads:
         self._bucket = bucket
         self._settings = settings
 
-    def offers(self, tenant: Tenant, wanted: Mapping[str, int]) -> list[Offer]:
+    def offers(self, tenant: Tenant, wanted: Mapping[str, int]) -> list[FileUpload]:
         """Return an offer for each hash with its size in bytes; none for files that are too large."""
         fitting = {sha256: size for sha256, size in wanted.items() if size <= MAX_COPY_BYTES}
         if not fitting:
@@ -73,24 +51,24 @@ class DirectUploads:
     def _key(self, tenant: Tenant, sha256: str, size_bytes: int) -> str:
         return f"{folder_of(tenant)}/{sha256}{'' if self._is_verified(size_bytes) else _UNVERIFIED}"
 
-    def _offer(self, tenant: Tenant, sha256: str, size_bytes: int, sent: Mapping[str, int]) -> Offer:
+    def _offer(self, tenant: Tenant, sha256: str, size_bytes: int, sent: Mapping[str, int]) -> FileUpload:
         key, valid_s = self._key(tenant, sha256, size_bytes), self._settings.store_url_s
-        parts: tuple[Part, ...] = ()
-        expires_at = now() + valid_s
+        parts: list[UploadPart] = []
+        expires_at = rfc3339(now() + valid_s)
         if sent.get(key) != size_bytes:
             if size_bytes <= self._settings.store_whole_bytes:
                 url, headers = self._bucket.sign_put(key, sha256, size_bytes, valid_s)
-                parts = (Part(number=0, offset=0, size_bytes=size_bytes, url=url, headers=headers),)
+                parts = [UploadPart(number=0, offset=0, size_bytes=size_bytes, url=url, headers=headers)]
             else:
                 parts = self._missing_parts(key, size_bytes)
-        return Offer(sha256=sha256, size_bytes=size_bytes, parts=parts, expires_at=expires_at)
+        return FileUpload(sha256=sha256, size_bytes=size_bytes, parts=parts, expires_at=expires_at)
 
-    def _missing_parts(self, key: str, size_bytes: int) -> tuple[Part, ...]:
+    def _missing_parts(self, key: str, size_bytes: int) -> list[UploadPart]:
         planned = self._planned(size_bytes)
         upload_id, parts = self._begun(key, planned)
         missing = {number: span for number, span in planned.items() if number not in parts}
-        return tuple(
-            Part(
+        return [
+            UploadPart(
                 number=number,
                 offset=offset,
                 size_bytes=size,
@@ -98,7 +76,7 @@ class DirectUploads:
                 headers={},
             )
             for number, (offset, size) in missing.items()
-        )
+        ]
 
     def _planned(self, size_bytes: int) -> dict[int, tuple[int, int]]:
         """Return offset and size of each part of a file."""
@@ -120,8 +98,8 @@ class DirectUploads:
 
     def _open(self, key: str) -> list[str]:
         """Return the open uploads of a key, the oldest first, so that all servers choose the same."""
-        found = [(at, upload_id) for name, upload_id, at in self._bucket.uploads(key) if name == key]
-        return [upload_id for _, upload_id in sorted(found)]
+        uploads = [(at, upload_id) for name, upload_id, at in self._bucket.uploads(key) if name == key]
+        return [upload_id for _, upload_id in sorted(uploads)]
 
     def accept(self, write: Write, tenant: Tenant, blob: Blob, admission: Admission | None = None) -> bool:
         """Take over a file that was sent; return whether it is new to the tenant.
@@ -153,7 +131,7 @@ class DirectUploads:
             created = self._store.add(write, tenant, blob, copy, admission)
         except Problem as problem:
             if problem.code == "quota_bytes":
-                # It must not lie there until somebody has deleted something else.
+                # It must not stay until something else was deleted.
                 self._bucket.delete(key)
             raise
         self._bucket.delete(key)
@@ -207,8 +185,8 @@ def folder_of(tenant: Tenant) -> str:
 
 
 def _is_known(connection: Connection, tenant: Tenant, blob: Blob) -> bool:
-    found = find_blob(connection, tenant, blob.sha256)
-    return found is not None and found.size_bytes == blob.size_bytes
+    known = find_blob(connection, tenant, blob.sha256)
+    return known is not None and known.size_bytes == blob.size_bytes
 
 
 def _upload_missing(blob: Blob) -> Problem:

@@ -14,9 +14,9 @@ from lambent_server.storage.store import probe_folder
 
 PROBE_S = 1.0
 STORE_S = 10.0
-"""How long an answer of the store is kept: anybody may ask, and a bucket counts requests."""
+"""How long an answer of the store is kept: health needs no key, and requests to a bucket cost money."""
 NOTICES = "notices"
-"""The check that names what operators have told the server, or an error: nothing that works or does not."""
+"""The check that returns the names of the operators' notices; unlike the others it cannot fail a server."""
 
 
 class Health:

@@ -147,24 +147,24 @@ def reconcile(services: Services) -> int:
     Rows of missing bytes are kept: a store that was not mounted may return, and the next upload writes
     missing bytes again. Nothing is removed if the database knows less than half of the store.
     """
-    found = examine(services)
-    if found.is_foreign:
-        log.error("reconcile_refused", blobs_unknown=len(found.unknown), blobs=found.num_blobs)
+    findings = examine(services)
+    if findings.is_foreign:
+        log.error("reconcile_refused", blobs_unknown=len(findings.unknown), blobs=findings.num_blobs)
     else:
-        repair(services, found)
+        repair(services, findings)
         _reconcile_copies(services, old_files_before(services.settings, services.store.file_time()))
-        _compress_again(services, set(found.lost))
+        _compress_again(services, set(findings.lost))
         remove_folders(services)
-    if found.num_orphans or found.lost:
+    if findings.num_orphans or findings.lost:
         log.warning(
             "reconciled",
-            blobs_unknown=len(found.unknown),
-            blobs_unreferenced=len(found.unreferenced),
-            uploads_abandoned=len(found.staged) + len(found.parts),
-            blobs_lost=len(found.lost),
-            examples=found.lost[:10],
+            blobs_unknown=len(findings.unknown),
+            blobs_unreferenced=len(findings.unreferenced),
+            uploads_abandoned=len(findings.staged) + len(findings.parts),
+            blobs_lost=len(findings.lost),
+            examples=findings.lost[:10],
         )
-    return len(found.lost)
+    return len(findings.lost)
 
 
 def examine(services: Services, *, contents: bool = False) -> Findings:
@@ -173,41 +173,43 @@ def examine(services: Services, *, contents: bool = False) -> Findings:
     Anything younger than `orphan_after_s` may be an upload in progress and is left out.
     """
     before = old_files_before(services.settings, services.store.file_time())
-    found = Findings()
+    findings = Findings()
     for prefix in _PREFIXES:
         # Rows first: bytes that come meanwhile have a row that is not known here, and are young.
         rows, files = _sizes(services, prefix), services.store.listed(prefix)
-        found.num_blobs += len(files)
+        findings.num_blobs += len(files)
         lost = {sha256 for sha256, size in rows.items() if files.get(sha256, (-1, 0.0))[0] != size}
-        found.lost += sorted(lost)
+        findings.lost += sorted(lost)
         if contents:
             matches = services.store.checks.matches
-            found.damaged += [sha256 for sha256 in sorted(set(rows) - lost) if not matches(sha256)]
+            findings.damaged += [sha256 for sha256 in sorted(set(rows) - lost) if not matches(sha256)]
         for sha256, (size, at) in files.items():
             if sha256 not in rows and at < before:
-                found.unknown[sha256] = size
-    found.unreferenced = _unreferenced(services, old_before(services.settings))
+                findings.unknown[sha256] = size
+    findings.unreferenced = _unreferenced(services, old_before(services.settings))
     bucket = services.store.bucket
     if bucket is not None:
-        found.staged = [key for key, _, at in bucket.listed(f"{FOLDER}/") if at < before]
-        found.parts = [(key, upload_id) for key, upload_id, at in bucket.uploads(f"{FOLDER}/") if at < before]
-    return found
+        findings.staged = [key for key, _, at in bucket.listed(f"{FOLDER}/") if at < before]
+        findings.parts = [
+            (key, upload_id) for key, upload_id, at in bucket.uploads(f"{FOLDER}/") if at < before
+        ]
+    return findings
 
 
-def repair(services: Services, found: Findings) -> None:
+def repair(services: Services, findings: Findings) -> None:
     """Remove what is left over, unless it is needed by now."""
     before = old_before(services.settings)
-    for sha256 in found.unknown:
+    for sha256 in findings.unknown:
         remove_orphan(services, sha256, before)
     with services.database.write() as connection:
         # The sweep checks once more that nothing refers to them.
-        for tenant, sha256 in found.unreferenced:
+        for tenant, sha256 in findings.unreferenced:
             discard(connection, Tenant(tenant), sha256)
     bucket = services.store.bucket
     if bucket is not None:
-        for key in found.staged:
+        for key in findings.staged:
             bucket.delete(key)
-        for key, upload_id in found.parts:
+        for key, upload_id in findings.parts:
             bucket.abort(key, upload_id)
 
 
@@ -236,8 +238,8 @@ def _sizes(services: Services, prefix: str) -> dict[str, int]:
     """Return the sizes of the blobs that rows name, of hashes that begin with `prefix`."""
     condition = and_(blobs.c.sha256 >= prefix, blobs.c.sha256 < prefix + "g")
     with services.database.read() as connection:
-        found = connection.execute(across_tenants(blobs, blobs.c.sha256, blobs.c.size_bytes).where(condition))
-        return {sha256: int(size) for sha256, size in found}
+        sizes = connection.execute(across_tenants(blobs, blobs.c.sha256, blobs.c.size_bytes).where(condition))
+        return {sha256: int(size) for sha256, size in sizes}
 
 
 def _reconcile_copies(services: Services, before: float) -> None:

@@ -9,12 +9,11 @@ from lambent_server.accounts import quotas
 from lambent_server.accounts.admission import Admission
 from lambent_server.api.json_bodies import StrictRoute
 from lambent_server.api.problems import Problem, invalid
-from lambent_server.core.clock import rfc3339
 from lambent_server.core.metrics import DIRECT_BYTES
 from lambent_server.database.schema import scene_files
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.http.common import Id, ServicesOf, TenantOf, WhoOf, problems
-from lambent_server.receiving.direct import Offer, direct_uploads
+from lambent_server.receiving.direct import direct_uploads
 from lambent_server.scenes import rows as scene_rows
 from lambent_server.services import Services
 from lambent_server.storage.messages import (
@@ -23,7 +22,6 @@ from lambent_server.storage.messages import (
     TakenFiles,
     UploadedFiles,
     UploadList,
-    UploadPart,
 )
 from lambent_server.storage.store import Blob
 
@@ -39,25 +37,7 @@ def offers(services: Services, tenant: Tenant, wanted: Mapping[str, int]) -> lis
         return []
     with services.database.write() as connection:
         quotas.reserve_bytes(connection, tenant, services.settings, wanted, refuse=True)
-    return [_show(offer) for offer in direct.offers(tenant, wanted)]
-
-
-def _show(offer: Offer) -> FileUpload:
-    return FileUpload(
-        sha256=offer.sha256,
-        size_bytes=offer.size_bytes,
-        parts=[
-            UploadPart(
-                number=part.number,
-                offset=part.offset,
-                size_bytes=part.size_bytes,
-                url=part.url,
-                headers=dict(part.headers),
-            )
-            for part in offer.parts
-        ],
-        expires_at=rfc3339(offer.expires_at),
-    )
+    return direct.offers(tenant, wanted)
 
 
 def _planned(services: Services, tenant: Tenant, scene_id: str, hashes: list[str]) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""What an archive says it holds: zip (stored or deflated), tar and tar.gz, read in a process of its own.
+"""The entries of an archive: zip (stored or deflated), tar and tar.gz, read in a process of its own.
 
 Only that process runs the readers of the standard library on untrusted bytes. It needs no other library.
 """
@@ -150,10 +150,10 @@ def _refuse_others(archive: zipfile.ZipFile, infos: list[zipfile.ZipInfo], file:
     first = min((info.header_offset for info in infos), default=archive.start_dir)
     if first != start:
         raise unsafe(
-            f"{first - start} bytes lie before its first entry: these are two archives joined, or one that "
+            f"{first - start} bytes come before its first entry: these are two archives joined, or one that "
             "unpacks itself; pack the files again as one plain zip"
         )
-    # The list of entries, its end and a comment: no second end may lie there.
+    # The list of entries, its end and a comment: there may be no second end.
     file.seek(archive.start_dir)
     if file.read(MAX_SINGLE_READ + _MAX_END).count(_END) != 1:
         raise unsafe("the archive has more than one end; pack the files again as one plain zip")

@@ -7,12 +7,12 @@ name and size that it gets, and writes the members under numbers, never under th
 import hashlib
 import os
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol
 
-from lambent_server.api.problems import Problem, invalid
+from lambent_server.api.problems import invalid
 from lambent_server.core.settings import Settings
 from lambent_server.storage.archive_entries import Entry, broken, unsafe
 from lambent_server.storage.decoding import archive_entries
@@ -52,22 +52,7 @@ class Room(Protocol):
         """Look after a file was written."""
 
 
-class _NoLimit:
-    """Room for everything."""
-
-    def entry(self, size: int) -> None:
-        pass
-
-    def writing(self, size: int) -> AbstractContextManager[None]:
-        return nullcontext()
-
-    def kept(self, sha256: str, size: int) -> None:
-        pass
-
-
-def unpack(
-    archive: Path, folder: Path, settings: Settings, room: Room | None = None
-) -> tuple[list[Member], list[str]]:
+def unpack(archive: Path, folder: Path, settings: Settings, room: Room) -> tuple[list[Member], list[str]]:
     """Write the files of the archive to `folder`; return them and the paths that do not belong in a scene.
 
     Raises `archive_unsafe`, `archive_broken` or `decoder_stopped`, or what `room` raises; only files in
@@ -76,7 +61,7 @@ def unpack(
     size = archive.stat().st_size
     budget = int(min(settings.max_scene_bytes, settings.max_archive_ratio * max(size, 1)))
     with archive_entries(archive, budget, settings) as entries:
-        return _keep(entries, folder, budget, settings, room or _NoLimit())
+        return _keep(entries, folder, budget, settings, room)
 
 
 def _keep(
@@ -117,12 +102,9 @@ def _require_pictures(members: list[Member], left_out: list[str]) -> None:
         message = f"the archive holds {_some(nested)} and no pictures; unpack it, and send what is in it"
         raise invalid("archive_nested", f"#/{nested[0][:80]}", message)
     if not members:
-        found = f"{_some(left_out)}, and nothing else" if left_out else "no files"
-        raise _empty(f"the archive holds {found}; a scene has photographs (JPEG, PNG, ...)")
-
-
-def _empty(message: str) -> Problem:
-    return invalid("archive_empty", "#", message)
+        contents = f"{_some(left_out)}, and nothing else" if left_out else "no files"
+        message = f"the archive holds {contents}; a scene has photographs (JPEG, PNG, ...)"
+        raise invalid("archive_empty", "#", message)
 
 
 def _some(paths: list[str]) -> str:

@@ -17,8 +17,8 @@ LARGE_FIRST = SMALL_FIRST[::-1]
 
 def thumbnail_urls(connection: Connection, tenant: Tenant, identifiers: Sequence[str]) -> dict[str, str]:
     """Return the address of the picture for a card of each bundle that has one."""
-    found = pictures(connection, tenant, identifiers, SMALL_FIRST)
-    return {bundle_id: file_url(bundle_id, file["path"]) for bundle_id, file in found.items()}
+    files = pictures(connection, tenant, identifiers, SMALL_FIRST)
+    return {bundle_id: file_url(bundle_id, file["path"]) for bundle_id, file in files.items()}
 
 
 def pictures(
@@ -38,10 +38,10 @@ def pictures(
     def rank(file: Any) -> tuple[int, str]:
         return posters.index(file["path"]) if file["path"] in posters else len(posters), file["path"]
 
-    found: dict[str, Any] = {}
+    chosen: dict[str, Any] = {}
     for file in sorted(connection.execute(statement).mappings(), key=rank):
-        found.setdefault(file["bundle_id"], file)
-    return found
+        chosen.setdefault(file["bundle_id"], file)
+    return chosen
 
 
 def file_url(bundle_id: str, path: str) -> str:

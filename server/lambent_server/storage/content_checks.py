@@ -1,9 +1,8 @@
 """Contents of a store, compared with the hashes that they are named by.
 
-A disk returns other bytes than it was given without saying so. So nothing is read from a store whose content
-was not compared since the server started, or only more than a day ago, or in another version than the one
-that is there now. Damaged bytes are set aside, in the folder `damaged`: from then on they are missing, and
-whatever asks for missing bytes asks for these.
+A disk may return other bytes than it was given without saying so. So nothing is read from a store unless this
+very version of it was compared since the server started, less than a day ago. Damaged bytes are moved to the
+folder `damaged`: from then on they are missing, and are sent again as missing bytes are.
 """
 
 import contextlib
@@ -14,7 +13,6 @@ import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from typing import Any
 
 import obstore
@@ -26,7 +24,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from lambent_server.cluster import claims
 from lambent_server.core.metrics import BLOBS_DAMAGED, CHECKED_BYTES
 from lambent_server.storage.outages import report
-from lambent_server.storage.s3 import StoreUnavailableError
+from lambent_server.storage.s3 import StoreUnavailableError, Version
 
 log = structlog.get_logger()
 
@@ -34,7 +32,7 @@ BLOBS = "blobs"
 GZIP = "gzip"
 """Folders of the store: blobs, and compressed copies of some of them under the blob's name."""
 DAMAGED = "damaged"
-"""Folder of bytes that do not match their name, for who wants to look at them; the server never reads it."""
+"""Folder of bytes that do not match their name, for operators to look at; the server never reads it."""
 FRESH_S = 86400.0
 """Age up to which a check counts."""
 MOST_REMEMBERED = 200_000
@@ -48,19 +46,6 @@ Pace = Callable[[int], None]
 """Is called with the number of bytes that were just read, and may wait."""
 
 
-@dataclass(frozen=True, slots=True)
-class Version:
-    """What a store has under a name at one moment: every change gives another one."""
-
-    size_bytes: int
-    tag: str
-
-    @classmethod
-    def of(cls, meta: Any) -> "Version":
-        """Return the version that the description of an object names."""
-        return cls(int(meta["size"]), str(meta["e_tag"] or meta["last_modified"].isoformat()))
-
-
 class ContentChecks:
     """Which contents are known to be right, and since when. Safe to use from several threads."""
 
@@ -70,7 +55,7 @@ class ContentChecks:
         self.write: Write | None = None
         """Opens the transactions in which damaged bytes are set aside; without it they are only refused."""
         self.damaged: set[str] = set()
-        """Hashes of blobs that this process has found damaged, and that nobody has sent again."""
+        """Hashes of blobs that this process has found damaged, and that were not sent again."""
         self._known: OrderedDict[tuple[str, str], tuple[Version, float]] = OrderedDict()
         self._lock = threading.Lock()
         self._reading = tuple(threading.Lock() for _ in range(_LOCKS))
@@ -140,13 +125,13 @@ class ContentChecks:
         return version
 
     def _digest(self, sha256: str, folder: str, pace: Pace | None) -> str | None:
-        """Return the hash of what is there; of a compressed copy that of what it unpacks to."""
+        """Return the hash of the content; of a compressed copy that of what it unpacks to."""
         digest = hashlib.sha256()
         unpacker = zlib.decompressobj(_GZIP_WINDOW) if folder == GZIP else None
         try:
             with as_os_error():
-                found = obstore.get(self._store, self._key(sha256, folder))
-            for piece in pieces(found):
+                result = obstore.get(self._store, self._key(sha256, folder))
+            for piece in pieces(result):
                 CHECKED_BYTES.inc(len(piece))
                 if unpacker is None:
                     digest.update(piece)

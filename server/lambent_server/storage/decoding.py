@@ -1,6 +1,6 @@
 """Untrusted files are read in a process of its own, which may open nothing, send nothing and start nothing.
 
-This side starts it (`decoding_child`), believes nothing that it says, and tells how it ended.
+This side starts it (`decoding_child`), trusts nothing that it sends, and reports how it ended.
 """
 
 import json
@@ -82,14 +82,14 @@ class Decoder:
         if length > MAX_MESSAGE_BYTES:
             raise self.stopped(UNKNOWN_MESSAGE)
         try:
-            found = json.loads(self.exactly(length))
+            message = json.loads(self.exactly(length))
         except (ValueError, RecursionError) as error:
             raise self.stopped(UNKNOWN_MESSAGE) from error
-        if not isinstance(found, dict):
+        if not isinstance(message, dict):
             raise self.stopped(UNKNOWN_MESSAGE)
-        if "problem" in found:
-            raise self._told(found)
-        return found
+        if "problem" in message:
+            raise self._told(message)
+        return message
 
     def exactly(self, size: int) -> bytes:
         """Return the next bytes; raises how the process ended if there are fewer."""
@@ -99,8 +99,8 @@ class Decoder:
             raise self._how_it_ended()
         return data
 
-    def _told(self, found: dict[str, Any]) -> Problem:
-        code, subject, text = found["problem"], found.get("subject", ""), found.get("message", "")
+    def _told(self, message: dict[str, Any]) -> Problem:
+        code, subject, text = message["problem"], message.get("subject", ""), message.get("message", "")
         if code not in _CODES or not isinstance(subject, str) or not isinstance(text, str):
             return self.stopped(UNKNOWN_MESSAGE)
         return invalid(code, f"#/{subject[:80]}" if subject else "#", text[:500])

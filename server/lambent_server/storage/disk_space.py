@@ -15,7 +15,7 @@ from typing import Self
 from lambent_server.api.problems import Problem
 
 RUNS_PART = 0.5
-"""Runs may go down to this part of the floor: what they have computed should not wait for somebody to delete
+"""Runs may go down to this part of the floor: what they have computed should not wait until users delete
 something. The rest is left to the database."""
 
 

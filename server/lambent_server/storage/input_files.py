@@ -26,8 +26,8 @@ def scene_inputs(connection: Connection, tenant: Tenant, scene_id: str) -> Files
 
 def bundle_inputs(connection: Connection, tenant: Tenant, bundle_id: str, folder: str) -> Files:
     """Return the files of a bundle as `<folder>/...`; none if it was deleted."""
-    found = _sorted(connection, tenant, bundle_files, bundle_id=bundle_id)
-    return [input_file(f"{folder}/{row['path']}", row) for row in found]
+    files = _sorted(connection, tenant, bundle_files, bundle_id=bundle_id)
+    return [input_file(f"{folder}/{row['path']}", row) for row in files]
 
 
 def environment_input(connection: Connection, tenant: Tenant, environment_id: str, stem: str) -> Files:

@@ -32,7 +32,7 @@ def away(error: Exception) -> Problem | None:
 
 
 def report(event: str, error: Exception) -> None:
-    """Log what could not be done: in one line if the database or the store is away, else with the place."""
+    """Log what failed: in one line if the database or the store is unavailable, else with a traceback."""
     problem = away(error)
     if problem is None:
         log.error(event, exc_info=error)

@@ -22,8 +22,8 @@ AT_ONCE = 50
 def amount(connection: Connection, tenant: Tenant, but: Collection[str] = ()) -> float:
     """Return how many bytes are reserved, without the files of the hashes `but`."""
     columns = (upload_reservations.c.sha256, upload_reservations.c.size_bytes)
-    found = connection.execute(rows(tenant, upload_reservations, *columns))
-    return float(sum(size for sha256, size in found if sha256 not in but))
+    sizes = connection.execute(rows(tenant, upload_reservations, *columns))
+    return float(sum(size for sha256, size in sizes if sha256 not in but))
 
 
 def keep(connection: Connection, tenant: Tenant, sizes: Mapping[str, int], settings: Settings) -> None:

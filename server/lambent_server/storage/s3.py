@@ -52,10 +52,15 @@ class S3Options:
 
 @dataclass(frozen=True, slots=True)
 class Version:
-    """One version of an object."""
+    """What a store has under a name at one moment: every change gives another one."""
 
     size_bytes: int
     etag: str
+
+    @classmethod
+    def of(cls, meta: Any) -> "Version":
+        """Return the version that obstore's description of an object names."""
+        return cls(int(meta["size"]), str(meta["e_tag"] or meta["last_modified"].isoformat()))
 
 
 class S3Bucket:
@@ -130,7 +135,7 @@ class S3Bucket:
         return str(self._signer.generate_presigned_url(operation, Params=given, ExpiresIn=int(seconds)))
 
     def sign_get(self, key: str, media_type: str, seconds: float) -> str:
-        """Return an address at which anybody can read an object for some seconds."""
+        """Return an address at which an object can be read without credentials for some seconds."""
         more = {
             "ResponseContentType": media_type,
             "ResponseCacheControl": "private, max-age=31536000, immutable",
@@ -154,19 +159,19 @@ class S3Bucket:
         """Return the current version of an object, or None if there is none."""
         try:
             with errors():
-                found = self._client.head_object(Bucket=self.name, Key=self._key(key))
+                answer = self._client.head_object(Bucket=self.name, Key=self._key(key))
         except FileNotFoundError:
             return None
-        return Version(int(found["ContentLength"]), found["ETag"])
+        return Version(int(answer["ContentLength"]), answer["ETag"])
 
     def read(self, key: str, version: Version) -> Iterator[bytes]:
         """Return the bytes of exactly this version, in pieces."""
         with errors():
-            found = self._client.get_object(Bucket=self.name, Key=self._key(key), IfMatch=version.etag)
-            yield from found["Body"].iter_chunks(1024 * 1024)
+            answer = self._client.get_object(Bucket=self.name, Key=self._key(key), IfMatch=version.etag)
+            yield from answer["Body"].iter_chunks(1024 * 1024)
 
     def copy(self, key: str, version: Version, target: str) -> None:
-        """Copy exactly this version; FileNotFoundError if it is there no more."""
+        """Copy exactly this version; FileNotFoundError if it no longer exists."""
         source = {"Bucket": self.name, "Key": self._key(key)}
         with errors():
             self._client.copy_object(

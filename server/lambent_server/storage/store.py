@@ -28,12 +28,11 @@ from lambent_server.storage.content_checks import (
     DAMAGED,
     GZIP,
     ContentChecks,
-    Version,
     Write,
     as_os_error,
     pieces,
 )
-from lambent_server.storage.s3 import S3Bucket, S3Options
+from lambent_server.storage.s3 import S3Bucket, S3Options, Version
 
 _TOUCHED_AT_ONCE = 500
 READ_TIMEOUT_S = 120.0
@@ -67,12 +66,6 @@ class Blob:
     media_type: str
     gzip_bytes: int = 0
     """Size of its compressed copy; 0 if it has none."""
-
-
-def hash_file(path: Path) -> str:
-    """Return the SHA-256 of a file, lower-case hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class BlobStore:
@@ -122,20 +115,20 @@ class BlobStore:
         return f"{folder}/{sha256[:2]}/{sha256}"
 
     def address(self, blob: Blob, valid_s: float) -> str | None:
-        """Return an address at which anybody can read the blob for a while; None if the store has none."""
+        """Return an address at which the blob can be read for a while; None if the store has no addresses."""
         if self.bucket is None:
             return None
         return self.bucket.sign_get(self.key(blob.sha256), blob.media_type, valid_s)
 
     def listed(self, digits: str, folder: str = BLOBS) -> dict[str, tuple[int, float]]:
         """Return size and modification time (Unix seconds) of blobs whose hashes begin with `digits`."""
-        found: dict[str, tuple[int, float]] = {}
+        sizes: dict[str, tuple[int, float]] = {}
         with as_os_error():
             for batch in obstore.list(self._store, f"{folder}/{digits}"):
                 for each in batch:
                     name = each["path"].rpartition("/")[2]
-                    found[name] = (each["size"], each["last_modified"].timestamp())
-        return found
+                    sizes[name] = (each["size"], each["last_modified"].timestamp())
+        return sizes
 
     def put_file(
         self,
@@ -268,10 +261,8 @@ class BlobStore:
             raise damaged(sha256)
         if end is not None and end <= start:
             return iter(())
-        whole = start == 0 and end is None
-        options: Any = (
-            None if whole else {"range": (start, end)} if end is not None else {"range": {"offset": start}}
-        )
+        part: Any = (start, end) if end is not None else {"offset": start}
+        options: Any = {"range": part} if start or end is not None else None
         with as_os_error():
             result = obstore.get(self._store, self.key(sha256, folder), options=options)
         if Version.of(result.meta) != version:
@@ -300,9 +291,9 @@ class BlobStore:
 
     def delete_bytes(self, sha256: str) -> None:
         """Delete the bytes, their copy and what was set aside of them, whoever may need them."""
-        # The copy first: without the bytes, nothing would say that it is there.
+        # The copy first: without the bytes, nothing would say that it exists.
         self.delete_copy(sha256)
-        # Somebody's file, though with other bytes: it goes with whoever leaves.
+        # A user's file, though with other bytes: it is deleted with the rest.
         self._delete(sha256, DAMAGED)
         self._delete(sha256, BLOBS)
 
@@ -375,16 +366,16 @@ def blob_url(sha256: str | None) -> str | None:
 
 def touch_all(connection: Connection, tenant: Tenant, hashes: Iterable[str]) -> dict[str, int]:
     """Return the sizes of those of the tenant's blobs that there are, as `touch` does for one of them."""
-    found: dict[str, int] = {}
+    sizes: dict[str, int] = {}
     # In one order, so that two transactions never wait for each other.
     wanted = sorted(set(hashes))
     for start in range(0, len(wanted), _TOUCHED_AT_ONCE):
         some = schema.blobs.c.sha256.in_(wanted[start : start + _TOUCHED_AT_ONCE])
         columns = (schema.blobs.c.sha256, schema.blobs.c.size_bytes)
         locked = rows(tenant, schema.blobs, *columns).where(some).order_by(schema.blobs.c.sha256)
-        found |= {sha256: int(size) for sha256, size in connection.execute(locked.with_for_update())}
+        sizes |= {sha256: int(size) for sha256, size in connection.execute(locked.with_for_update())}
         connection.execute(change(tenant, schema.blobs).where(some).values(touched_at=now()))
-    return found
+    return sizes
 
 
 def find_blob(connection: Connection, tenant: Tenant, sha256: str) -> Blob | None:

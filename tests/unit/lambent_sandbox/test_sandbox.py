@@ -237,7 +237,7 @@ def test_a_folder_among_the_program_is_not_read(tmp_path: Path, below: str):
     among = f"import lambent_sandbox.sandbox as s\ns._package_parents = lambda: [Path({str(tmp_path)!r})]\n"
     given = {"readable": tmp_path / below, "more": "from pathlib import Path\n" + among}
     done = run("", **given)
-    assert b"lies in" in done.stderr, done
+    assert b"is inside" in done.stderr, done
     assert b"done" not in done.stdout
     assert b"done" in run("", strictness="limits", **given).stdout
 

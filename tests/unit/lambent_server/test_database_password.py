@@ -18,7 +18,7 @@ def test_the_password_is_that_in_the_file_for_both_addresses(tmp_path: Path):
 
 
 def test_a_file_without_which_there_is_no_password_is_missed_at_once(tmp_path: Path):
-    with pytest.raises(ValidationError, match="no file that this user can read"):
+    with pytest.raises(ValidationError, match="not a file that this user can read"):
         Settings(database=URL, database_password_file=tmp_path / "password")
 
 

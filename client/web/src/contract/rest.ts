@@ -934,7 +934,7 @@ export interface components {
         };
         /**
          * Notice
-         * @description Something that operators have told all servers.
+         * @description A notice of the operators.
          */
         Notice: {
             /** Message */
@@ -944,7 +944,7 @@ export interface components {
         };
         /**
          * Notices
-         * @description What operators have told all servers; null: nothing of the kind.
+         * @description Notices of the operators; null where there is none.
          */
         Notices: {
             drain: components["schemas"]["Notice"] | null;

@@ -165,7 +165,7 @@ def test_after_its_end_a_link_shows_neither_name_nor_picture(api: Api, monkeypat
     for unknown in (expired["id"], "share_nobody"):
         page = visitor.get(f"/embed/{unknown}")
         assert (page.status_code, page.headers["content-type"]) == (404, "text/html; charset=utf-8")
-        assert "There is not a such page" in page.text
+        assert "There is no such page" in page.text
 
 
 def test_the_address_of_the_page_opens_no_bundle(api: Api):

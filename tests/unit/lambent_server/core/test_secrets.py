@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from lambent_server.core.secrets import (
     is_run_token,
-    read_or_create_secret,
+    read_or_create,
     run_token,
     write_secret,
 )
@@ -17,7 +17,16 @@ from lambent_server.core.settings import ServeError
 def test_a_file_without_a_secret_is_refused_with_what_to_do(tmp_path: Path, content: bytes):
     (tmp_path / "api.key").write_bytes(content)
     with pytest.raises(ServeError, match=r"^serve\.secret_invalid: .*api\.key .*remove it and start again"):
-        read_or_create_secret(tmp_path / "api.key")
+        read_or_create(tmp_path / "api.key")
+
+
+def test_a_secret_is_made_once_and_readable_by_its_owner_only(tmp_path: Path):
+    path = tmp_path / "api.key"
+    first = read_or_create(path)
+    assert len(first) > 40
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert read_or_create(path) == first
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_secret_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

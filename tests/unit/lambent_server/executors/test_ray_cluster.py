@@ -152,7 +152,7 @@ def test_a_process_that_does_not_answer_is_ended_and_another_one_started(
     assert links[1].closed
 
 
-@pytest.mark.parametrize(("access", "reason"), [("open", "obeys everybody"), ("away", "does not answer")])
+@pytest.mark.parametrize(("access", "reason"), [("open", "runs anyone"), ("away", "does not answer")])
 def test_no_process_is_started_for_a_cluster_that_obeys_everybody_or_nobody(
     settings: Settings,
     links: list[FakeLink],

@@ -146,7 +146,7 @@ def test_a_folder_in_which_others_can_write_is_refused(holders: Any, tmp_path: P
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
     holder = holders(launch(tmp_path / "open"))
-    assert "nobody else can write" in holder.status(-1)["refused"]
+    assert "no one else can write" in holder.status(-1)["refused"]
     assert holder._lock is None
 
 

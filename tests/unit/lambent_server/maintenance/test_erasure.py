@@ -15,7 +15,7 @@ from lambent_server.accounts.who import Who, operator
 from lambent_server.admin.commands import app
 from lambent_server.api.problems import Problem
 from lambent_server.core.clock import now
-from lambent_server.core.secrets import new_secret, read_or_create_secret
+from lambent_server.core.secrets import new_secret, read_or_create
 from lambent_server.core.settings import Settings
 from lambent_server.database.model import JobRow
 from lambent_server.database.people_schema import members
@@ -44,7 +44,7 @@ def services(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Service
         if request.param == "postgresql":
             given["database"] = stack.enter_context(postgresql())
         services = open_services(Settings(**given))
-        read_or_create_secret(tmp_path / "data" / "worker.secret")
+        read_or_create(tmp_path / "data" / "worker.secret")
         with contextlib.closing(services.database):
             yield services
 

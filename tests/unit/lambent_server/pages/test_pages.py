@@ -41,9 +41,9 @@ def test_an_etag_changes_with_the_file_and_answers_for_it(folder: Path):
     (folder / "jobs.html").write_text("<title>other</title>")
     after = lambent_pages.find("jobs.html", folder)
     assert after is not None
-    assert lambent_pages.is_current(before, f'"x", W/{before.headers["etag"]}')
-    assert not lambent_pages.is_current(after, before.headers["etag"])
-    assert not lambent_pages.is_current(after, None)
+    assert lambent_pages.is_named(before.headers["etag"], f'"x", W/{before.headers["etag"]}')
+    assert not lambent_pages.is_named(after.headers["etag"], before.headers["etag"])
+    assert not lambent_pages.is_named(after.headers["etag"], None)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from lambent_server.api.problems import Problem
 from lambent_server.core.settings import Settings
 from lambent_server.storage.archives import unpack
-from support.archives import make_tar, make_zip, tar_member
+from support.archives import AnyRoom, make_tar, make_zip, tar_member
 
 SETTINGS = Settings(max_scene_bytes=100_000, max_scene_files=20)
 FOLDER = tarfile.DIRTYPE
@@ -19,7 +19,7 @@ def unpacked(tmp_path: Path, data: bytes) -> tuple[list[str], list[str]]:
     archive, folder = tmp_path / "archive", tmp_path / "out"
     archive.write_bytes(data)
     folder.mkdir()
-    members, left_out = unpack(archive, folder, SETTINGS)
+    members, left_out = unpack(archive, folder, SETTINGS, AnyRoom())
     return [member.path for member in members], left_out
 
 

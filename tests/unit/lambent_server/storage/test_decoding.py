@@ -16,7 +16,7 @@ from lambent_server.storage import decoding
 from lambent_server.storage.archives import unpack
 from support import taken_over
 from support.api import expect, expect_problem, opened
-from support.archives import make_zip
+from support.archives import AnyRoom, make_zip
 
 pytestmark = [
     pytest.mark.slow,
@@ -44,7 +44,7 @@ def refusal(tmp_path: Path, given: Settings, data: bytes = b"PK") -> Problem:
     archive.write_bytes(data)
     (tmp_path / "out").mkdir()
     with pytest.raises(Problem) as caught:
-        unpack(archive, tmp_path / "out", given)
+        unpack(archive, tmp_path / "out", given, AnyRoom())
     return caught.value
 
 

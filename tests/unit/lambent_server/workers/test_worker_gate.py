@@ -197,5 +197,5 @@ def test_an_address_that_others_cannot_use_is_refused(tmp_path: Path):
     plain = Settings(data=tmp_path, worker_address="10.0.0.7:84", worker_plain=True)
     assert network_address(plain) == "tcp:10.0.0.7:84"
     for wrong in ("10.0.0.7", "http://x:1", "10.0.0.7:0", "a b:1"):
-        with pytest.raises(ValidationError, match="no host with a port"):
+        with pytest.raises(ValidationError, match="not a host with a port"):
             Settings(data=tmp_path, worker_address=wrong)
