@@ -15,5 +15,5 @@ def test_the_sheet_of_an_evaluation_has_one_name():
 
 
 def test_turning_pictures_begin_with_what_the_server_thins_out():
-    assert live_preview.NAME.format(stage="cache").startswith(preview_rows.TURNING)
+    assert live_preview.NAME.format(task="cache").startswith(preview_rows.TURNING)
     assert not evaluate.SHEET.startswith(preview_rows.TURNING)

@@ -34,7 +34,7 @@ def bake_light(
     from flashcache.training.light_bake import LightBakeConfig
 
     from lambent_run.console_reporter import ConsoleReporter
-    from lambent_run.run.bake import BakeRequest, bake_light
+    from lambent_run.run.light_bake import BakeRequest, bake_light
 
     config = LightBakeConfig()
     request = BakeRequest(

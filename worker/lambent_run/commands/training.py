@@ -233,7 +233,7 @@ def export(
 
     prepare()
     from lambent_run.console_reporter import ConsoleReporter
-    from lambent_run.run.edited import export_edited
+    from lambent_run.run.given_mesh import export_given_mesh
     from lambent_run.run.prepare import export_run
 
     if mesh is not None and weights not in ("", "none"):
@@ -250,7 +250,7 @@ def export(
         if mesh is None:
             export_run(run_dir, out, reporter, tier=tier, weights=weights, faces=faces, atlas=atlas)
         else:
-            export_edited(run_dir, out, mesh, reporter, tier=tier, atlas=atlas)
+            export_given_mesh(run_dir, out, mesh, reporter, tier=tier, atlas=atlas)
     if not as_json:
         typer.echo(f"bundle: {out}")
 

@@ -9,7 +9,7 @@ from lambent_core.errors import UsageError
 from lambent_proto.v1 import worker_pb2
 
 from lambent_run.job.order import Order
-from lambent_run.run.bake import BakeRequest, bake_light
+from lambent_run.run.light_bake import BakeRequest, bake_light
 
 OUT = "adapted"
 

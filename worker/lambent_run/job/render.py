@@ -27,8 +27,8 @@ from lambent_relight.batch.summary import TABLE, TileOf, write_sheets, write_tab
 if TYPE_CHECKING:
     from lambent_run.job.order import Order
 
-STAGE = "render"
-SUMMARY_STAGE = "contact_sheet"
+TASK = "render"
+SUMMARY_TASK = "contact_sheet"
 CHECKPOINT_S = 30.0
 """A lost machine costs the pictures of this many seconds."""
 _PARTS = "parts"
@@ -85,7 +85,7 @@ def sum_up(order: "Order", manifest: Manifest) -> None:
     tile_of = tiles.Tiles(path for part in parts for path in part.glob(tiles.NAME))
     _summary(order.reporter, folder, results, manifest, tile_of)
     num = len(results)
-    order.reporter.progress(Progress(stage=SUMMARY_STAGE, step=num, num_steps=num, fraction=1.0))
+    order.reporter.progress(Progress(stage=SUMMARY_TASK, step=num, num_steps=num, fraction=1.0))
     num_shards = order.start.render.num_shards
     num_failed = num_shards - len(parts)
     if num_failed:
@@ -161,7 +161,7 @@ class _Work:
         rate = done / seconds if done and seconds > 0.0 else 0.0
         self.reporter.progress(
             Progress(
-                stage=STAGE,
+                stage=TASK,
                 step=done,
                 num_steps=self.num_pictures,
                 fraction=(done + fraction) / max(self.num_pictures, 1),
@@ -186,7 +186,7 @@ class _Work:
         names = {result.path for result in self._unsaved}
         (folder / JOURNAL).write_text(self.journal.lines(names), encoding="utf-8")
         # A name of its own: the server keeps the newest of every name, and the parts complete each other.
-        self.reporter.checkpoint(f"{STAGE}-{number:06d}", len(self.results), folder)
+        self.reporter.checkpoint(f"{TASK}-{number:06d}", len(self.results), folder)
         self._unsaved.clear()
 
 

@@ -1,4 +1,4 @@
-"""Ambiguity of the materials: measured at points of the surface, stored as a grid.
+"""Uncertainty of the materials: measured at points of the surface, stored as a grid.
 
 docs/discussion/uncertainty.md says what the values mean.
 """

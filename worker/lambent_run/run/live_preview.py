@@ -25,8 +25,8 @@ from torch import Tensor
 from lambent_run.report import figures
 from lambent_run.report.predictions import encoded
 
-NAME = "turning_{stage}"
-"""What previews of a stage are called; bundles leave them out, for they depend on the machine's speed."""
+NAME = "turning_{task}"
+"""Name of the previews of a task; bundles leave them out, for they depend on the machine's speed."""
 INTERVAL_S = 10.0
 LONGEST_S = 25.0
 """Between two previews, where even the smallest ones cost more than their share at `INTERVAL_S`."""
@@ -129,11 +129,11 @@ def photographed_arc(azimuths_deg: ndarray) -> tuple[float, float] | None:
 
 @dataclass(kw_only=True, slots=True)
 class LivePreview:
-    """Makes the previews of one stage."""
+    """Makes the previews of one task."""
 
     orbit: Orbit
     reporter: Reporter
-    stage: str
+    task: str
     clock: Callable[[], float] = time.monotonic
     side: int = FIRST_SIDE
     number: int = 0
@@ -165,7 +165,7 @@ class LivePreview:
         if began < self.due:
             return
         picture = turned_picture(model, self.orbit.camera(self.number, self.side))
-        self.reporter.preview(NAME.format(stage=self.stage), figures.png(picture, max_side=SIDES[1]))
+        self.reporter.preview(NAME.format(task=self.task), figures.png(picture, max_side=SIDES[1]))
         self.number += 1
         self._plan(self.clock() - began)
 

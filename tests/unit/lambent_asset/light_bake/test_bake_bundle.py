@@ -15,7 +15,7 @@ from lambent_asset.light_bake.bundle_scene import bundle_scene, cache_of
 from lambent_core.errors import Stopped, UsageError
 from lambent_relight import load_bundle, load_environment, write_environment
 from lambent_relight.bundle.adapted import adapted_lights, environment_digest
-from lambent_run.run.bake import BakeRequest, bake_light, light_image, mean_radiance
+from lambent_run.run.light_bake import BakeRequest, bake_light, light_image, mean_radiance
 from support.network_bundle import write_network_bundle
 from support.recording_reporter import RecordingReporter
 from support.sphere_model import RADIUS, sphere_model

@@ -45,7 +45,7 @@ class Clock:
 def slow(monkeypatch: pytest.MonkeyPatch):
     """Return a clock, and a preview whose pictures take `cost` seconds for each of a thousand pixels."""
     clock = Clock()
-    preview = LivePreview(orbit=Orbit.around(SCENE), reporter=RecordingReporter(), stage="cache", clock=clock)
+    preview = LivePreview(orbit=Orbit.around(SCENE), reporter=RecordingReporter(), task="cache", clock=clock)
 
     def picture(model: float, camera):
         clock.at += model * camera.width**2 / 1000.0

@@ -119,7 +119,7 @@ def write_bundle(
     for picture in sorted((context.run_dir / "previews").glob("*.png")):
         # The evaluation's sheet of all test views is a fifth of a megabyte, and in its report; how far the
         # training was when a preview was made depends on the machine.
-        if picture.name != "evaluation.png" and not picture.name.startswith(PREVIEW_NAME.format(stage="")):
+        if picture.name != "evaluation.png" and not picture.name.startswith(PREVIEW_NAME.format(task="")):
             shutil.copyfile(picture, folder / "preview" / picture.name)
     write_manifest(folder, manifest)
     _advance(context, NUM_PARTS)

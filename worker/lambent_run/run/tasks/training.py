@@ -78,12 +78,12 @@ def new_model(context: TaskContext, scene: Scene) -> InverseModel:
     return model
 
 
-def load_trained(context: TaskContext, scene: Scene, stage: str) -> InverseModel:
-    """Return the model at the end of `stage` ("cache", "joint" or "polish")."""
+def load_trained(context: TaskContext, scene: Scene, task: str) -> InverseModel:
+    """Return the model at the end of `task` ("cache", "joint" or "polish")."""
     model = new_model(context, scene)
-    folder = latest_checkpoint(task_folder(context.run_dir, stage))
+    folder = latest_checkpoint(task_folder(context.run_dir, task))
     if folder is None:
-        raise TrainingError(f"the run has no checkpoint of stage {stage!r}; train it first")
+        raise TrainingError(f"the run has no checkpoint of task {task!r}; train it first")
     load_checkpoint(folder, model)
     return model
 
@@ -120,7 +120,7 @@ def capture_for(context: TaskContext) -> CudaCapture | None:
 
 def previews_for(context: TaskContext, scene: Scene) -> LivePreview:
     """Return what shows the stage that is trained now."""
-    return LivePreview(orbit=Orbit.around(scene), reporter=context.reporter, stage=context.task)
+    return LivePreview(orbit=Orbit.around(scene), reporter=context.reporter, task=context.task)
 
 
 def drive(context: TaskContext, stage: Stage, preview: LivePreview | None = None) -> None:

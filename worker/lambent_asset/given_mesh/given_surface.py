@@ -16,10 +16,10 @@ from lambent_core.errors import UsageError
 from lambent_relight.baked.raster import Fragments, interpolate, nearest_texel, rasterise_uv
 from numpy.typing import NDArray
 
-from lambent_asset.edited.fine_albedo import albedo_size, fine_albedo
-from lambent_asset.edited.given_charts import charts_of
-from lambent_asset.edited.glb_file import GivenMesh
-from lambent_asset.edited.outwards import turned_outwards
+from lambent_asset.given_mesh.fine_albedo import albedo_size, fine_albedo
+from lambent_asset.given_mesh.given_charts import charts_of
+from lambent_asset.given_mesh.glb_file import GivenMesh
+from lambent_asset.given_mesh.outwards import turned_outwards
 from lambent_asset.mesh.atlas import (
     Unwrapped,
     angle_weighted_normals,

@@ -19,7 +19,7 @@ from lambent_relight.baked.mesh import UNREADABLE, glb_accessor, glb_chunks
 from numpy.typing import NDArray
 from trimesh.transformations import quaternion_matrix
 
-from lambent_asset.edited.glb_maps import Maps, maps_of
+from lambent_asset.given_mesh.glb_maps import Maps, maps_of
 
 MAX_BYTES = 1 << 30
 MAX_FACES = 2_000_000

@@ -6,8 +6,8 @@ from jaxtyping import Float32
 from lambent_relight.baked.raster import Fragments, interpolate, nearest_texel, rasterise_uv
 from numpy import ndarray
 
-from lambent_asset.edited.glb_file import GivenMesh
-from lambent_asset.edited.glb_maps import sampled
+from lambent_asset.given_mesh.glb_file import GivenMesh
+from lambent_asset.given_mesh.glb_maps import sampled
 from lambent_asset.mesh.atlas import Unwrapped
 
 ROWS_AT_ONCE = 128

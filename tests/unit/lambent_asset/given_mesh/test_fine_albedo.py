@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from lambent_asset.edited import fine_albedo as module
-from lambent_asset.edited.fine_albedo import albedo_size, fine_albedo
-from lambent_asset.edited.glb_file import GivenMesh
-from lambent_asset.edited.glb_maps import Maps
+from lambent_asset.given_mesh import fine_albedo as module
+from lambent_asset.given_mesh.fine_albedo import albedo_size, fine_albedo
+from lambent_asset.given_mesh.glb_file import GivenMesh
+from lambent_asset.given_mesh.glb_maps import Maps
 from lambent_asset.mesh.atlas import Unwrapped
 from support.given_glb import SQUARE, SQUARE_FACES, SQUARE_UV
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lambent_asset.edited.given_charts import chart_of_face, charts_of, touching_share
-from lambent_asset.edited.glb_file import GivenMesh
+from lambent_asset.given_mesh.given_charts import chart_of_face, charts_of, touching_share
+from lambent_asset.given_mesh.glb_file import GivenMesh
 from lambent_asset.mesh import atlas
 from lambent_core.errors import WorkerError
 from support.given_glb import SQUARE, SQUARE_FACES

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from lambent_asset.edited.glb_file import GivenMesh
+from lambent_asset.given_mesh.glb_file import GivenMesh
 from lambent_asset.mesh.atlas import angle_weighted_normals
 from lambent_asset.mesh.mesh import piece_of_face
 

@@ -5,7 +5,7 @@ from jaxtyping import Int
 from lambent_relight.baked.raster import rasterise_uv
 from numpy import ndarray
 
-from lambent_asset.edited.glb_file import GivenMesh
+from lambent_asset.given_mesh.glb_file import GivenMesh
 from lambent_asset.mesh.atlas import Unwrapped, covered_share, size_within, unwrap
 from lambent_asset.mesh.mesh import Mesh, piece_of_face
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from lambent_asset.bundle.manifest import write_manifest
 from lambent_asset.bundle.surface_files import pixel_size, write_mesh
 from lambent_asset.bundle.transport_files import write_relight_graph
-from lambent_asset.edited.edited_surface import GivenSurface, check_place, given_surface
-from lambent_asset.edited.glb_file import GivenMesh, read_glb
+from lambent_asset.given_mesh.given_surface import GivenSurface, check_place, given_surface
+from lambent_asset.given_mesh.glb_file import GivenMesh, read_glb
 from lambent_asset.mesh.mesh import Corner, occupied_box
 from lambent_asset.textures.surface_occlusion import bake_occlusion
 from lambent_asset.transport.transport import TransportConfig, bake_transport, write_transport
@@ -39,7 +39,7 @@ from lambent_run.run.tasks.training import load_final, read_scene
 NUM_PARTS = 5
 
 
-def export_edited(
+def export_given_mesh(
     run_dir: Path, out: Path, mesh: Path, reporter: Reporter, *, tier: str = "", atlas: str = ""
 ) -> None:
     """Write a bundle of the run in `run_dir` whose surface is the mesh in the GLB file `mesh`, to `out`.

@@ -8,20 +8,21 @@ import numpy as np
 import pytest
 import typer
 from flashcache.errors import ConfigError
-from lambent_asset.edited.glb_file import read_glb
+from lambent_asset.given_mesh.glb_file import read_glb
 from lambent_core.errors import Stopped, UsageError
 from lambent_relight import Renderer, UnsupportedQuality, load_bundle
 from lambent_relight.asset.textured_mesh import pixels_of, textured_mesh_from_glb
 from lambent_relight.baked.raster import rasterise_uv
 from lambent_relight.cameras import turntable
 from lambent_relight.environment.maps import environment_from_array
-from lambent_run.run import edited
+from lambent_run.run import given_mesh
 from lambent_run.run.tasks import export
 from support.given_glb import SQUARE, glb_file
 from support.small_export import LIGHTS, Listener, small_context
 from support.sphere_model import sphere_model
 
 EDITED = Path(__file__).parents[1] / "data" / "edited"
+BALL = EDITED / "ball_edited.glb"
 CAMERA = turntable(1, radius=3.0, width=32, height=32)[0]
 LIGHT = environment_from_array(np.broadcast_to(np.float32([0.9, 1.0, 1.1]), (8, 16, 3)))
 
@@ -37,10 +38,12 @@ def context(tmp_path, model, monkeypatch):
     made = small_context(tmp_path, model, monkeypatch)
     config = replace(made.spec.config, export=replace(made.spec.config.export, judge_samples=0))
     made = replace(made, spec=replace(made.spec, config=config))
-    monkeypatch.setattr(edited, "read_scene", export.read_scene)
-    monkeypatch.setattr(edited, "load_final", export.load_final)
-    monkeypatch.setattr(edited, "open_task", lambda run_dir, task, reporter: replace(made, reporter=reporter))
-    monkeypatch.setattr(edited, "require_done", lambda run_dir, task: "hash")
+    monkeypatch.setattr(given_mesh, "read_scene", export.read_scene)
+    monkeypatch.setattr(given_mesh, "load_final", export.load_final)
+    monkeypatch.setattr(
+        given_mesh, "open_task", lambda run_dir, task, reporter: replace(made, reporter=reporter)
+    )
+    monkeypatch.setattr(given_mesh, "require_done", lambda run_dir, task: "hash")
     return made
 
 
@@ -56,12 +59,12 @@ def test_a_mesh_from_blender_becomes_a_bundle_that_is_relit(context, tmp_path):
     before = digests(context.run_dir)
     reporter = Listener()
     out = tmp_path / "edited.relight"
-    edited.export_edited(context.run_dir, out, EDITED / "ball_edited.glb", reporter)
+    given_mesh.export_given_mesh(context.run_dir, out, BALL, reporter)
     bundle = load_bundle(out)
     manifest = bundle.manifest
     assert manifest.schema_version == "1"
     assert (manifest.given_mesh.name, manifest.given_mesh.kept_uv) == ("ball_edited.glb", True)
-    data = (EDITED / "ball_edited.glb").read_bytes()
+    data = (BALL).read_bytes()
     assert manifest.given_mesh.sha256 == hashlib.sha256(data).hexdigest()
     assert manifest.given_mesh.share_from_model == 0.0
     assert list(manifest.train_lights) == ["day", "a_night"]
@@ -94,7 +97,7 @@ def test_our_own_file_put_back_is_the_same_asset(context, tmp_path, monkeypatch)
     monkeypatch.setattr(export, "albedo_texture", lambda *arguments: (detail, {}))
     export.run(context)
     before = textured_mesh_from_glb((context.folder / "mesh" / "asset.glb").read_bytes())
-    edited.export_edited(
+    given_mesh.export_given_mesh(
         context.run_dir, tmp_path / "same", context.folder / "mesh" / "asset.glb", Listener(), tier="lite"
     )
     bundle = load_bundle(tmp_path / "same")
@@ -129,7 +132,7 @@ def test_what_the_bundle_does_not_hold_is_logged(context, tmp_path):
 
     reporter = Listener()
     path = glb_file(tmp_path / "lamp.glb", change)
-    edited.export_edited(context.run_dir, tmp_path / "b", path, reporter)
+    given_mesh.export_given_mesh(context.run_dir, tmp_path / "b", path, reporter)
     assert reporter.events["mesh.ignored"] == {"what": "emission"}
     assert len(read_glb(path).faces) == 2
 
@@ -137,10 +140,10 @@ def test_what_the_bundle_does_not_hold_is_logged(context, tmp_path):
 def test_a_file_that_cannot_be_used_leaves_nothing_behind(context, tmp_path):
     path = glb_file(tmp_path / "far.glb", lambda w: w.mesh(node={"translation": [50.0, 0.0, 0.0]}))
     with pytest.raises(UsageError, match=r"mesh_file\.place"):
-        edited.export_edited(context.run_dir, tmp_path / "b", path, Listener())
+        given_mesh.export_given_mesh(context.run_dir, tmp_path / "b", path, Listener())
     (tmp_path / "exists").mkdir()
     with pytest.raises(UsageError, match=r"export\.exists"):
-        edited.export_edited(context.run_dir, tmp_path / "exists", EDITED / "ball_edited.glb", Listener())
+        given_mesh.export_given_mesh(context.run_dir, tmp_path / "exists", BALL, Listener())
     assert sorted(p.name for p in tmp_path.iterdir() if p.name[0] != ".") == [
         "exists",
         "far.glb",
@@ -153,7 +156,7 @@ def test_it_stops_when_it_is_asked_to(context, tmp_path):
     reporter = Listener()
     reporter.stop = True
     with pytest.raises(Stopped):
-        edited.export_edited(context.run_dir, tmp_path / "b", EDITED / "ball_edited.glb", reporter)
+        given_mesh.export_given_mesh(context.run_dir, tmp_path / "b", BALL, reporter)
     assert not (tmp_path / "b").exists()
     assert not list(tmp_path.glob("*.partial*"))
 
@@ -165,7 +168,7 @@ def test_a_stop_inside_the_bake_leaves_no_rays_for_the_next_mesh(context, tmp_pa
         corners = SQUARE - np.float32([0.5, 0.5, 0.0])
         writer.mesh(corners, material=writer.material({}))
 
-    whole = edited.bake_transport
+    whole = given_mesh.bake_transport
 
     def stopped(*arguments, store, advance, **options):
         def stop(share):
@@ -174,18 +177,18 @@ def test_a_stop_inside_the_bake_leaves_no_rays_for_the_next_mesh(context, tmp_pa
 
         whole(*arguments, store=store, advance=stop, **options)
 
-    monkeypatch.setattr(edited, "bake_transport", stopped)
+    monkeypatch.setattr(given_mesh, "bake_transport", stopped)
     with pytest.raises(Stopped):
-        edited.export_edited(context.run_dir, tmp_path / "b", EDITED / "ball_edited.glb", Listener())
+        given_mesh.export_given_mesh(context.run_dir, tmp_path / "b", BALL, Listener())
     assert not list(tmp_path.glob("*.partial*"))
     # A program that is killed does not clean up behind itself.
     left = tmp_path / "b.partial.rays"
     left.mkdir()
     (left / "00000000.npz").write_bytes(b"of another mesh")
-    monkeypatch.setattr(edited, "bake_transport", whole)
+    monkeypatch.setattr(given_mesh, "bake_transport", whole)
     path = glb_file(tmp_path / "square.glb", other)
     for name in ("b", "fresh"):
-        edited.export_edited(context.run_dir, tmp_path / name, path, Listener())
+        given_mesh.export_given_mesh(context.run_dir, tmp_path / name, path, Listener())
     one, two = (digests(tmp_path / name / "transport") for name in ("b", "fresh"))
     assert one == two
 
@@ -195,13 +198,13 @@ def test_networks_with_a_given_mesh_are_refused(tmp_path, weights, capsys):
     from lambent_run.commands.training import export as command
 
     with pytest.raises(typer.Exit):
-        command(tmp_path, tmp_path / "b", weights=weights, mesh=EDITED / "ball_edited.glb")
+        command(tmp_path, tmp_path / "b", weights=weights, mesh=BALL)
     assert "mesh_file.no_networks" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("atlas", "side"), [("auto", 64), ("96", 96), ("", 128)])
 def test_the_base_colour_has_the_side_that_is_asked_for(context, tmp_path, atlas, side):
-    edited.export_edited(context.run_dir, tmp_path / "b", EDITED / "ball_edited.glb", Listener(), atlas=atlas)
+    given_mesh.export_given_mesh(context.run_dir, tmp_path / "b", BALL, Listener(), atlas=atlas)
     bundle = load_bundle(tmp_path / "b")
     mesh = textured_mesh_from_glb(bundle.read("mesh/asset.glb", 1 << 30))
     assert bundle.manifest.atlas.size == len(pixels_of(mesh.base_colour_png)) == side
@@ -210,14 +213,12 @@ def test_the_base_colour_has_the_side_that_is_asked_for(context, tmp_path, atlas
 def test_a_side_that_is_none_is_refused(context, tmp_path):
     for atlas in ("9000", "many"):
         with pytest.raises(ConfigError):
-            edited.export_edited(
-                context.run_dir, tmp_path / "b", EDITED / "ball_edited.glb", Listener(), atlas=atlas
-            )
+            given_mesh.export_given_mesh(context.run_dir, tmp_path / "b", BALL, Listener(), atlas=atlas)
 
 
 def test_a_number_of_triangles_with_a_given_mesh_is_refused(tmp_path, capsys):
     from lambent_run.commands.training import export as command
 
     with pytest.raises(typer.Exit):
-        command(tmp_path, tmp_path / "b", faces="1000", mesh=EDITED / "ball_edited.glb")
+        command(tmp_path, tmp_path / "b", faces="1000", mesh=BALL)
     assert "mesh_file.own_shape" in capsys.readouterr().err

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 from lambent_asset.bundle.glb import write_glb
-from lambent_asset.edited import glb_file as glb_file_module
-from lambent_asset.edited.glb_file import read_glb
-from lambent_asset.edited.glb_maps import maps_of
+from lambent_asset.given_mesh import glb_file as glb_file_module
+from lambent_asset.given_mesh.glb_file import read_glb
+from lambent_asset.given_mesh.glb_maps import maps_of
 from lambent_core.errors import UsageError
 from lambent_relight.asset.draco import glb_with_draco
 from lambent_relight.asset.textured_mesh import textured_mesh_from_glb

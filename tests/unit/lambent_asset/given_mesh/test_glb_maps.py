@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from lambent_asset.edited.glb_file import read_glb
-from lambent_asset.edited.glb_maps import LEAST_ROUGHNESS, sampled
+from lambent_asset.given_mesh.glb_file import read_glb
+from lambent_asset.given_mesh.glb_maps import LEAST_ROUGHNESS, sampled
 from lambent_core.colour import linear_from_srgb
 from support.given_glb import GlbWriter, glb_file
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import trimesh
-from lambent_asset.edited.glb_file import GivenMesh
-from lambent_asset.edited.outwards import turned_outwards
+from lambent_asset.given_mesh.glb_file import GivenMesh
+from lambent_asset.given_mesh.outwards import turned_outwards
 from lambent_relight.tracing.mesh_rays import MeshRays
 
 

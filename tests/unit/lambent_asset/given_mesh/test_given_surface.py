@@ -8,9 +8,9 @@ import pytest
 import torch
 from flashcache.config import ExportConfig
 from lambent_asset.bundle.glb import write_glb
-from lambent_asset.edited.edited_surface import check_place, given_surface
-from lambent_asset.edited.given_charts import charts_of
-from lambent_asset.edited.glb_file import read_glb
+from lambent_asset.given_mesh.given_charts import charts_of
+from lambent_asset.given_mesh.given_surface import check_place, given_surface
+from lambent_asset.given_mesh.glb_file import read_glb
 from lambent_asset.mesh.mesh import occupied_box
 from lambent_asset.textures.surface import build_surface
 from lambent_asset.textures.surface_occlusion import bake_occlusion
