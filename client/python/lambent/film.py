@@ -100,7 +100,7 @@ class FilmWriter:
     def _start(self, width: int, height: int) -> Generator[None, Any, None]:
         codec, options = _CODECS[self.path.suffix]
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        encoder = ffmpeg.package().write_frames(
+        encoder: Generator[None, Any, None] = ffmpeg.package().write_frames(
             str(self._partial),
             (width, height),
             fps=self._fps,

@@ -31,8 +31,9 @@ class Document:
         node, line = self._marked, 0
         for step in pointer.split("/")[1:]:
             try:
-                key = int(step) if isinstance(node, list) else step
-                line = (node.lc.item if isinstance(node, list) else node.lc.key)(key)[0]
+                in_list = isinstance(node, list)
+                key = int(step) if in_list else step
+                line = (node.lc.item if in_list else node.lc.key)(key)[0]
                 node = node[key]
             except (AttributeError, LookupError, TypeError, ValueError):
                 break

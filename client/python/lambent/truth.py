@@ -13,7 +13,7 @@ from lambent_relight import Camera
 from numpy.typing import NDArray
 from PIL import Image
 
-Picture = NDArray[np.float64]
+Picture = NDArray[np.floating]
 BACKGROUND_NORMAL = (0.0, 0.0, 1.0)
 
 
@@ -82,12 +82,13 @@ def over_white(rgba: Picture) -> Picture:
 def blend_normals(normal: Picture, alpha: Picture) -> Picture:
     """Return unit normals [H, W, 3] that go over into (0, 0, 1) where `alpha` [H, W, 1] falls to zero."""
     mixed = normal * alpha + np.array(BACKGROUND_NORMAL) * (1.0 - alpha)
-    return mixed / np.maximum(np.linalg.norm(mixed, axis=-1, keepdims=True), 1e-9)
+    unit: Picture = mixed / np.maximum(np.linalg.norm(mixed, axis=-1, keepdims=True), 1e-9)
+    return unit
 
 
 def psnr(found: Picture, true: Picture) -> float:
     """Return the peak signal-to-noise ratio in dB for values in [0, 1]; 100 dB for equal pictures."""
-    return float(-10.0 * np.log10(max(np.mean((found - true) ** 2), 1e-10)))
+    return float(-10.0 * np.log10(max(float(np.mean((found - true) ** 2)), 1e-10)))
 
 
 def albedo_ratio(found: list[Picture], views: list[TrueView]) -> Picture:

@@ -9,12 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from lambent_core.directions import Array, dot, frame_axes, normalise
+from numpy.typing import NDArray
 
 DIELECTRIC_F0 = 0.04
 """Reflectance of a non-metal at normal incidence."""
 MIN_ALPHA = 1e-4
 """Narrowest lobe; smaller widths are raised to it."""
 _FLOOR = 1.2e-7
+RowIndex = slice | NDArray[np.integer] | NDArray[np.bool_]
+"""Picks some rows of arrays that belong together."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,7 @@ class Materials:
     metalness: Array
     """0 dielectric to 1 metal, [*batch, 1]."""
 
-    def __getitem__(self, index: object) -> "Materials":
+    def __getitem__(self, index: RowIndex) -> "Materials":
         """Return the same properties of some of the points."""
         return Materials(self.albedo[index], self.alpha[index], self.metalness[index])
 

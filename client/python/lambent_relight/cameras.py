@@ -21,6 +21,7 @@ _MAX_SIDE = 16384
 _MAX_CAMERAS = 100_000
 _MAX_FILE_BYTES = 64 << 20
 _refuse = refusal("camera.argument", CameraError)
+Vector = Sequence[float] | NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +155,7 @@ def cameras_from_arrays(
     ]
 
 
-def look_at(position: Sequence[float], target: Sequence[float]) -> NDArray[np.float64]:
+def look_at(position: Vector, target: Vector) -> NDArray[np.float64]:
     """Return the camera-to-world matrix at `position` that looks at `target` with +z upwards.
 
     Straight up or down, where that leaves the roll open, +y is upwards. Raises CameraError `camera.argument`.
@@ -173,7 +174,7 @@ def look_at(position: Sequence[float], target: Sequence[float]) -> NDArray[np.fl
 
 
 def position_around(
-    target: Sequence[float], distance: float, azimuth_deg: float, elevation_deg: float
+    target: Vector, distance: float, azimuth_deg: float, elevation_deg: float
 ) -> NDArray[np.float64]:
     """Return the point at `distance` from `target`, scene units; azimuth 0 is +x and grows towards +y."""
     azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
@@ -187,7 +188,7 @@ def turntable(
     *,
     radius: float,
     elevation_deg: float = 20.0,
-    target: Sequence[float] = (0.0, 0.0, 0.0),
+    target: Vector = (0.0, 0.0, 0.0),
     width: int = 512,
     height: int = 512,
     field_of_view_deg: float = 40.0,
@@ -274,7 +275,7 @@ def _parse_camera(entry: Any, index: int, source: str) -> Camera:
         raise fault(
             "has a field of the wrong kind", "give numbers, and 16 of them in camera_to_world"
         ) from error
-    width, height = numbers["width"], numbers["height"]
+    width, height = numbers.pop("width"), numbers.pop("height")
     if not (
         width.is_integer() and height.is_integer() and 1 <= width <= _MAX_SIDE and 1 <= height <= _MAX_SIDE
     ):
@@ -285,13 +286,12 @@ def _parse_camera(entry: Any, index: int, source: str) -> Camera:
         raise fault("has a focal length that is not positive", "give focal lengths in pixels")
     if not is_rigid(pose):
         raise fault("has a camera_to_world that is not a rotation and a position", NOT_RIGID_ADVICE)
-    numbers.update(width=int(width), height=int(height))
-    return Camera(name=name, camera_to_world=pose, **numbers)
+    return Camera(name=name, width=int(width), height=int(height), camera_to_world=pose, **numbers)
 
 
 def cameras_json(cameras: Sequence[Camera]) -> str:
     """Return the text of a cameras.json that holds `cameras`; raises CameraError for anything else."""
-    cameras = list(instance(cameras, Sequence, "cameras", "give a list of cameras", refuse=_refuse))
+    instance(cameras, Sequence, "cameras", "give a list of cameras", refuse=_refuse)  # type: ignore[type-abstract]
     for camera in cameras:
         instance(camera, Camera, "an entry of cameras", "use turntable or load_cameras", refuse=_refuse)
     fields = ("name", "width", "height", "focal_x", "focal_y", "centre_x", "centre_y")

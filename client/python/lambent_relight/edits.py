@@ -46,7 +46,11 @@ class MaterialEdit:
         self, albedo: NDArray[np.floating], perceptual_roughness: NDArray[np.floating]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return albedo [n, 3] and perceptual roughness [n, 1] as changed."""
-        base = albedo if self.albedo is None else np.broadcast_to(np.float32(self.albedo), albedo.shape)
+        base = (
+            albedo
+            if self.albedo is None
+            else np.broadcast_to(np.asarray(self.albedo, np.float32), albedo.shape)
+        )
         changed = np.clip(base * np.asarray(self.albedo_gain, np.float32), 0.0, 1.0)
         roughness = np.clip(perceptual_roughness * np.float32(self.roughness_scale), 0.0, 1.0)
         return changed.astype(np.float32), roughness.astype(np.float32)

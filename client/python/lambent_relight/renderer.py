@@ -33,7 +33,7 @@ from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.sampling_plan import estimated
 from lambent_relight.refined.scattering import SurfacePoints
 from lambent_relight.refined.shading import Light, Scene
-from lambent_relight.refined.surroundings import CacheSurroundings, Surroundings
+from lambent_relight.refined.surroundings import CacheSurroundings
 from lambent_relight.settings import BACKGROUNDS, Colour, settled
 from lambent_relight.views import View, look
 
@@ -164,7 +164,9 @@ class Renderer:
         if edit is not None:
             instance(edit, MaterialEdit, "edit", "give MaterialEdit(albedo_gain=..., roughness_scale=...)")
         if progress is not None and not callable(progress):
-            raise SettingError("relight.argument", "progress is no function", "give one of the fraction done")
+            raise SettingError(
+                "relight.argument", "progress is not a function", "give one of the fraction done"
+            )
         if isinstance(background, str):
             changes["background"] = background
         settings = settled(settings, **changes)
@@ -213,15 +215,15 @@ class Renderer:
 
         Raises SettingError where that was asked for by name and is not there.
         """
-        caches, adapted, num_threads = self.caches, self._networks.adapted, 1
-        if caches is self._networks and caches.name == "fused":
+        networks, caches, num_threads = self._networks, self.caches, 1
+        if caches is networks and not isinstance(networks, NoCaches | OnnxCaches):
             # Compiled code is called by the threads that do everything else; onnxruntime has its own.
-            caches, num_threads = caches.in_callers_thread(), caches.num_threads
-            adapted = caches.adapted
+            num_threads, networks = networks.num_threads, networks.in_callers_thread()
+            caches = networks
         has_transport = self.bundle.manifest.HasField("transport")
         offset = self.bundle.manifest.secondary_rays.origin_offset
         if settings.occlusion == "mesh" or (settings.occlusion == "auto" and has_transport):
-            around: Surroundings = MeshSurroundings(self.baked().traced, edit)
+            around: MeshSurroundings | CacheSurroundings = MeshSurroundings(self.baked().traced, edit)
         else:
             around = CacheSurroundings(caches, offset, edit)
         plain = Scene(around, num_threads=num_threads)
@@ -236,7 +238,7 @@ class Renderer:
             if light is not None:
                 # The adapted cache's opacities belong to its radiance, and to its own start of rays.
                 around = CacheSurroundings(caches, offset, edit)
-                adapted = functools.partial(adapted, light.name)
+                adapted = functools.partial(networks.adapted, light.name)
                 if settings.occlusion == "mesh":
                     says = f'the fast cache adapted to "{light.name}" says what is in the way of its light'
                     self._tell(
@@ -335,7 +337,8 @@ def _combined(bundle: Bundle, edit: MaterialEdit, ratio: ArrayLike | None) -> Ma
     refuse = refusal("relight.albedo_ratio")
     stated = tuple(bundle.manifest.albedo_scale_rgb)
     factors = stated if ratio is None else colour(ratio, "albedo_ratio", refuse=refuse)
-    return replace(edit, albedo_gain=np.multiply(factors, edit.albedo_gain))
+    red, green, blue = np.multiply(factors, edit.albedo_gain).tolist()
+    return replace(edit, albedo_gain=(red, green, blue))
 
 
 def _turned(

@@ -83,7 +83,7 @@ def _neutral(colour: NDArray[np.float32]) -> NDArray[np.float32]:
 def _aces(colour: NDArray[np.float32]) -> NDArray[np.float32]:
     v = (colour / np.float32(0.6)) @ _ACES_IN.T
     fitted = (v * (v + 0.0245786) - 0.000090537) / (v * (0.983729 * v + 0.4329510) + 0.238081)
-    return fitted @ _ACES_OUT.T
+    return (fitted @ _ACES_OUT.T).astype(np.float32, copy=False)
 
 
 def _agx(colour: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -37,12 +37,13 @@ class View:
 
     def coverage(self) -> Rows:
         """Return the share of every pixel that the object covers, [height, width, 1]."""
-        return np.clip(self._sum(self.hits.opacity) / self.rays_per_pixel, 0.0, 1.0)
+        share = self._sum(self.hits.opacity) / self.rays_per_pixel
+        return np.clip(share, 0.0, 1.0).astype(np.float32, copy=False)
 
     def mean(self, values: Rows) -> Rows:
         """Return opacity-weighted means over each pixel's rays [ray, n], [height, width, n]."""
-        total = self._sum(self.hits.opacity)
-        return self._sum(values * self.hits.opacity) / np.maximum(total, 1e-12)
+        total = np.maximum(self._sum(self.hits.opacity), np.float32(1e-12))
+        return (self._sum(values * self.hits.opacity) / total).astype(np.float32, copy=False)
 
     def picture(self, values: Rows) -> Rows:
         """Return `values` [pixel, n] of the pixels that rays hit, in their order, [height, width, n]."""

@@ -90,4 +90,4 @@ def relight(
             for view in views
         ]
         rows = rows_of(shots, opened, asset, settings)
-        make_pictures(rows, Files(linear=True, half=half), output_folder, Output(as_json))
+        make_pictures(rows, Files.model_construct(linear=True, half=half), output_folder, Output(as_json))

@@ -95,7 +95,7 @@ def turntable(
         raise UsageProblemError("cli.bad_choice", f"--crf with {animation}", "use it for .mp4 and .webm")
     output = Output(as_json)
     light = light_here(env, given)
-    files = Files(files=["png"], linear=not straight, probes=probes)
+    files = Files.model_construct(files=["png"], linear=not straight, probes=probes)
     with relight_errors():
         opened = open_bundle(bundle)
         shots = shots_of_turn(opened, light, turn, count, size=size, rotate_deg=rotate_deg)
@@ -151,8 +151,11 @@ def _stream(rows: Sequence[Row], files: Files, writer: film.FilmWriter, output: 
         output.note(note)
     with writer, PictureBar(len(rows), output) as bar:
         for number, row in enumerate(rows):
-            pixels = studio.frame(row, lambda fraction, number=number: bar.move(number + fraction))
-            writer.add(pixels[..., :3])
+
+            def advance(fraction: float, before: int = number) -> None:
+                bar.move(before + fraction)
+
+            writer.add(studio.frame(row, advance)[..., :3])
             bar.done(number, f"{number + 1}", "made")
 
 

@@ -1,7 +1,7 @@
 """The complete state of a viewer and the ways to change it. No windows, no files."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from lambent_relight import MaterialEdit
 
@@ -72,22 +72,21 @@ class ViewerState:
 
     def object_turned(self, degrees: float) -> "ViewerState":
         """Return the object turned by a further +`degrees`; a photograph shows it as it was."""
-        return replace(
-            self, object_rotate_deg=wrapped(self.object_rotate_deg + degrees), **_no_photograph(self)
-        )
+        return self._without_photograph(object_rotate_deg=wrapped(self.object_rotate_deg + degrees))
 
     def moved(self, orbit: Orbit) -> "ViewerState":
         """Return another camera; a photograph has its own, so comparing with one ends."""
-        return replace(self, orbit=orbit, **_no_photograph(self))
+        return self._without_photograph(orbit=orbit)
 
     def resized(self, width: int, height: int) -> "ViewerState":
         """Return a picture of another size, within limits."""
-        sides = (min(max(side, MIN_SIDE), MAX_SIDE) for side in (width, height))
-        return replace(self, **dict(zip(("width", "height"), sides, strict=True)))
+        width, height = (min(max(side, MIN_SIDE), MAX_SIDE) for side in (width, height))
+        return replace(self, width=width, height=height)
 
     def with_number(self, name: str, value: float) -> "ViewerState":
         """Return the state with another value of a number in `LIMITS`, kept within them."""
-        return replace(self, **{name: min(max(value, LIMITS[name].low), LIMITS[name].high)})
+        kept: dict[str, Any] = {name: min(max(value, LIMITS[name].low), LIMITS[name].high)}
+        return replace(self, **kept)
 
     def stepped(self, name: str, steps: int) -> "ViewerState":
         """Return the state with a number in `LIMITS` changed by this many key steps."""
@@ -95,11 +94,12 @@ class ViewerState:
 
     def with_next(self, field: str, names: tuple[str, ...], step: int = 1) -> "ViewerState":
         """Return the state with the next of `names` in a field, or the one before."""
-        return replace(self, **{field: names[(names.index(getattr(self, field)) + step) % len(names)]})
+        chosen: dict[str, Any] = {field: names[(names.index(getattr(self, field)) + step) % len(names)]}
+        return replace(self, **chosen)
 
     def with_next_light(self, count: int, step: int = 1) -> "ViewerState":
         """Return the next of `count` environments, or the one before."""
-        return replace(self, light=(self.light + step) % count, **_no_photograph(self))
+        return self._without_photograph(light=(self.light + step) % count)
 
     def with_next_other_light(self, count: int) -> "ViewerState":
         """Return the next environment on the right side."""
@@ -124,11 +124,12 @@ class ViewerState:
             channel="final",
         )
 
+    def _without_photograph(self, **changes: Any) -> "ViewerState":
+        """Return the state with changes that end a comparison with a photograph."""
+        comparison = "" if self.comparison == "photograph" else self.comparison
+        return replace(self, comparison=comparison, **changes)
+
 
 def wrapped(degrees: float) -> float:
     """Return an angle in [-180, 180)."""
     return (degrees + 180.0) % 360.0 - 180.0
-
-
-def _no_photograph(state: ViewerState) -> dict[str, Comparison]:
-    return {"comparison": ""} if state.comparison == "photograph" else {}

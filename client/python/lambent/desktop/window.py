@@ -38,13 +38,12 @@ class Window:
     ) -> None:
         self.model, self._on_change, self._on_tick = model, on_change, on_tick
         self._overlays = overlays
-        self.plotter = pyvista.Plotter(
+        self.plotter: Any = pyvista.Plotter(
             off_screen=off_screen,
             window_size=[model.state.width, model.state.height],
             title="Lambent",
             lighting="none",
         )
-        self.plotter.set_background("black")
         self._image = vtkImageData()
         self._add_picture()
         self._sliders = self._add_sliders() if overlays else {}
@@ -96,6 +95,7 @@ class Window:
         self.plotter.close()
 
     def _add_picture(self) -> None:
+        self.plotter.set_background("black")
         mapper = vtkImageMapper()
         mapper.SetInputData(self._image)
         # Bytes are shown as they are.
@@ -113,7 +113,7 @@ class Window:
         # VTK's rows begin at the bottom.
         rows = np.ascontiguousarray(pixels[::-1]).reshape(-1, 3)
         self._image.SetDimensions(width, height, 1)
-        self._image.GetPointData().SetScalars(numpy_to_vtk(rows, deep=True))
+        self._image.GetPointData().SetScalars(numpy_to_vtk(rows, deep=True))  # type: ignore[no-untyped-call]
         self._image.Modified()
 
     def _text(self, name: str, text: str, upper_left: tuple[float, float], size_px: int) -> None:

@@ -1,6 +1,7 @@
 """Renders the qualities `preview` and `baked`; views and lights are cached between pictures."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from lambent_core.directions import normalise
@@ -167,7 +168,7 @@ class BakedRenderer:
         view = self.view(camera, antialias, soft_edges=soft_edges and not preview)
         light = self.light(environment, 0 if preview else MAX_DOMINANT)
         known = self._prepared(view, edit, preview=preview)
-        found = shade(
+        lit: dict[str, Any] = shade(
             view,
             known.lit,
             known.lobes,
@@ -177,7 +178,7 @@ class BakedRenderer:
             indirect=indirect,
             bounce_gain=edit.bounce_gain(self.scene.mean_albedo),
         )
-        return replace(known.still, **found)
+        return replace(known.still, **lit)
 
     def _shadow_map(self, direction: NDArray[np.float32], radius_rad: float) -> ShadowMap:
         """Return the shadows of a dominant light; the last few are cached."""

@@ -33,7 +33,7 @@ class BlockWeights:
     @property
     def known(self) -> NDArray[np.bool_]:
         """Whether a point has any block, [point, 1]."""
-        return self.weight.any(axis=1, keepdims=True)
+        return np.asarray(self.weight.max(axis=1, keepdims=True) > 0.0)
 
     def mean(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the weighted means of `values` [block, n], [point, n]; zero where there is no block."""

@@ -28,7 +28,7 @@ def cubic(picture: NDArray[np.floating], places: NDArray[np.floating]) -> NDArra
     return _at(_cubic, np.ascontiguousarray(picture, np.float32), np.asarray(places, np.float32))
 
 
-def _at(kernel, picture: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray[np.float32]:  # type: ignore[no-untyped-def]
+def _at(kernel, picture: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray[np.float32]:
     places = np.ascontiguousarray(places)
     out = np.empty((len(places), picture.shape[2]), np.float32)
 

@@ -46,7 +46,7 @@ def sort_plan(
         in_place = {suffix: made for suffix, made in found.items() if made.path == place(row.path, suffix)}
         if not found.keys() >= set(files.files):
             # A file under another name may be overwritten before this picture's turn comes.
-            wanted = [suffix for suffix in files.files if suffix not in in_place]
+            wanted: list[str] = [suffix for suffix in files.files if suffix not in in_place]
             if files.linear and not (
                 LINEAR in in_place and ("exr" not in wanted or _has_layers(row, files, journal))
             ):

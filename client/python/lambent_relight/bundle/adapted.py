@@ -71,14 +71,14 @@ def adapted_lights(bundle: Bundle) -> list[AdaptedLight]:
 def _parsed(name: str, path: str, text: str) -> AdaptedLight:
     try:
         values = json.loads(text)
-        ratio = tuple(float(value) for value in values["albedo_ratio"])
+        red, green, blue = (float(value) for value in values["albedo_ratio"])
         light = AdaptedLight(
             name=name,
             environment_sha256=str(values["environment_sha256"]),
             rotate_deg=float(values["rotate_deg"]),
-            albedo_ratio=ratio,
+            albedo_ratio=(red, green, blue),
         )
-        if len(ratio) != 3 or not math.isfinite(light.rotate_deg) or not min(ratio) > 0.0:
+        if not math.isfinite(light.rotate_deg) or not min(light.albedo_ratio) > 0.0:
             raise ValueError("values out of range")
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise BundleError(

@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO, Protocol
+from typing import IO, Protocol
 
 from lambent_core.errors import BundleError
 
@@ -35,7 +35,7 @@ class FileSource(Protocol):
     def size_bytes(self, path: str) -> int:
         """Return the size of a file."""
 
-    def open(self, path: str) -> AbstractContextManager[BinaryIO]:
+    def open(self, path: str) -> AbstractContextManager[IO[bytes]]:
         """Return an open file, for use in a `with` statement."""
 
 
@@ -75,7 +75,7 @@ class FolderSource:
         """Return the size of a file."""
         return (self._root / path).lstat().st_size
 
-    def open(self, path: str) -> BinaryIO:
+    def open(self, path: str) -> IO[bytes]:
         """Return an open file."""
         return (self._root / path).open("rb")
 
@@ -118,7 +118,7 @@ class ZipSource:
         return self._entries[path].file_size
 
     @contextmanager
-    def open(self, path: str) -> Iterator[BinaryIO]:
+    def open(self, path: str) -> Iterator[IO[bytes]]:
         """Return an open file; reading it never gives more than the stated size."""
         with zipfile.ZipFile(self._path) as opened, opened.open(self._entries[path]) as file:
             yield file

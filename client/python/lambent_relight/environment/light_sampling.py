@@ -50,7 +50,7 @@ class LightSampler:
         order = np.argsort(cell.ravel(), kind="stable")
         num_cells = int(cell.max()) + 1
         cell_ends = np.searchsorted(cell.ravel()[order], np.arange(num_cells), side="right")
-        cell_mass = np.bincount(cell.ravel(), mass.ravel(), num_cells)
+        cell_mass = np.bincount(cell.ravel(), mass.ravel(), num_cells).astype(np.float64, copy=False)
         solid_angles = pixel_solid_angles(height, width)
         inside = mass / (np.maximum(cell_mass, 1e-300)[cell] * solid_angles[:, None])
         table, means = _lobe_table(cell_mass, _cell_directions(cell, solid_angles, num_cells))
@@ -142,9 +142,7 @@ def _cells(height: int, width: int) -> NDArray[np.int64]:
     return np.unique(code, return_inverse=True)[1].reshape(height, width)
 
 
-def _cell_directions(
-    cell: NDArray[np.int64], solid_angles: NDArray[np.float64], num_cells: int
-) -> NDArray[np.float64]:
+def _cell_directions(cell: NDArray[np.int64], solid_angles: Array, num_cells: int) -> NDArray[np.float64]:
     """Return the mean direction of every cell, [cell, 3], shorter than 1 for wide cells."""
     weight = np.broadcast_to(solid_angles[:, None], cell.shape).ravel()
     directions = pixel_directions(*cell.shape).reshape(-1, 3)

@@ -17,8 +17,8 @@ from lambent_relight.fused.kernels import BLOCK, STRIDE
 from lambent_relight.fused.networks import Network, run_head, run_network, work_space
 from lambent_relight.fused.weights import NotFused, Weights, chained, graph_constants
 
-CONSTANTS = ("contraction_radius", "density_bias", "albedo_bias", "alpha_bias", "metalness_bias")
-CONSTANTS += ("alpha_minimum",)
+_BIASES = ("density_bias", "albedo_bias", "alpha_bias", "metalness_bias")
+CONSTANTS = ("contraction_radius", *_BIASES, "alpha_minimum")
 OCCUPANCY_BOX = ("occupancy_min", "occupancy_max")
 NUM_PROPERTIES = 8
 """Normal (3), albedo (3), perceptual roughness and metalness of a point."""

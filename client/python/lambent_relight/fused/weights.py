@@ -6,6 +6,7 @@ Everything compiled code will index is checked here.
 
 import json
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from lambent_core.errors import BundleError
@@ -17,7 +18,7 @@ from lambent_relight.fused.grids import Grid
 from lambent_relight.fused.networks import Layer
 
 METADATA_KEY = "lambent.network"
-_DTYPES = {"float32": np.dtype("<f4"), "float16": np.dtype("<f2")}
+_DTYPES: Mapping[str, np.dtype[np.floating]] = {"float32": np.dtype("<f4"), "float16": np.dtype("<f2")}
 
 
 class NotFused(Exception):  # noqa: N818 - an answer, not a fault

@@ -8,6 +8,7 @@ Buades et al. 2005 (non-local means); Rousselle et al. 2012 and 2013 (weights fr
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +65,8 @@ def denoised(picture: RelitPicture, denoiser: Denoiser | None = None) -> RelitPi
         out,
     )
     parts = np.split(out, np.cumsum([getattr(picture, name).shape[-1] for name in names])[:-1], axis=-1)
-    return replace(picture, **dict(zip(names, parts, strict=True)))
+    smooth: dict[str, Any] = dict(zip(names, parts, strict=True))
+    return replace(picture, **smooth)
 
 
 def _even_variance(picture: RelitPicture) -> NDArray[np.float32]:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent_relight.brdf import RowIndex
 from lambent_relight.refined.known_sky import KnownSky
 
 _MOST_SHARE = 1.5
@@ -52,7 +53,7 @@ class KnownLight:
         """Return `count` points of which nothing is known."""
         return cls(np.zeros((count, 3), np.float32), np.zeros(count, np.bool_))
 
-    def __getitem__(self, index: object) -> "KnownLight":
+    def __getitem__(self, index: RowIndex) -> "KnownLight":
         """Return some of the points."""
         sky = None if self.sky is None else self.sky[index]
         return KnownLight(self.radiance[index], self.known[index], sky)

@@ -19,6 +19,7 @@ from lambent_core.directions import pixel_directions, rotate_about_z
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from lambent_relight.brdf import RowIndex
 from lambent_relight.environment.maps import Environment
 
 _ROWS = 192
@@ -60,14 +61,14 @@ class SkyCells:
             for channel in range(3):
                 light = (radiance[..., channel] * integral[..., axis]).ravel()
                 moment[:, axis, channel] = np.bincount(cell, light, len(there))
-        moment = rotate_about_z(moment.transpose(0, 2, 1), environment.rotate_deg).transpose(0, 2, 1)
+        turned = rotate_about_z(moment.transpose(0, 2, 1), environment.rotate_deg).transpose(0, 2, 1)
         # The farthest corner of a pixel is half a diagonal from its middle.
         widest = 2.0 * np.arcsin(0.5 * float(apart.max())) + np.hypot(np.pi / rows, 2.0 * np.pi / columns)
         return cls(
             np.ascontiguousarray(radiance, np.float32),
             cell.reshape(rows, columns).astype(np.int32),
             np.asarray(directions, np.float32),
-            np.ascontiguousarray(moment, np.float32),
+            np.ascontiguousarray(turned, np.float32),
             float(np.sin(widest)),
             environment.rotate_deg / 360.0,
         )
@@ -102,7 +103,7 @@ class KnownSky:
         )
         return cls(cells, seen, (irradiance * reflected).astype(np.float32))
 
-    def __getitem__(self, index: object) -> "KnownSky":
+    def __getitem__(self, index: RowIndex) -> "KnownSky":
         """Return that of some of the points."""
         return KnownSky(self.cells, self.seen[index], self.radiance[index])
 

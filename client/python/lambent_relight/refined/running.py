@@ -33,9 +33,13 @@ class Running:
     def of(cls, pixels: PixelRays) -> "Running":
         """Return what no round has found of `pixels`."""
         points, count = len(pixels.pixel), len(pixels.first)
-        means = (np.zeros((points, 3), np.float32) for _ in _MEANS)
-        errors = np.zeros((count, 3), np.float32)
-        return cls(pixels, *means, errors, np.zeros(count, np.int64), np.zeros(count, np.int64))
+        return cls(
+            pixels,
+            **{name: np.zeros((points, 3), np.float32) for name in _MEANS},
+            standard_error=np.zeros((count, 3), np.float32),
+            num_samples=np.zeros(count, np.int64),
+            freedom=np.zeros(count, np.int64),
+        )
 
     def add(self, found: Radiance, pixels: NDArray[np.integer], points: NDArray[np.integer]) -> None:
         """Add an independent round of some pixels, whose rays are `points`, by its number of directions."""

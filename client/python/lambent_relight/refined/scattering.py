@@ -12,7 +12,7 @@ import numpy as np
 from lambent_core.directions import Array, dot
 from numpy.typing import NDArray
 
-from lambent_relight.brdf import DIELECTRIC_F0, Materials
+from lambent_relight.brdf import DIELECTRIC_F0, Materials, RowIndex
 from lambent_relight.environment.light_sampling import COSINE_LOBE, LightSampler, lobe_of_alpha
 
 DIFFUSE_LIGHT_SHARE = 0.9
@@ -32,7 +32,7 @@ class SurfacePoints:
     omega_o: Array
     materials: Materials
 
-    def __getitem__(self, index: object) -> "SurfacePoints":
+    def __getitem__(self, index: RowIndex) -> "SurfacePoints":
         """Return some of the points."""
         return SurfacePoints(
             self.position[index], self.normal[index], self.omega_o[index], self.materials[index]
@@ -99,21 +99,18 @@ def draw_directions(
     # Compiled code takes a second to import, which programs that only look at bundles do not pay.
     from lambent_relight.refined import scattering_kernels as kernels
 
-    albedo, alpha, metalness = points.materials.albedo, points.materials.alpha, points.materials.metalness
-    values = (points.normal, points.omega_o, albedo, alpha[:, 0], metalness[:, 0])
-    arrays = (np.ascontiguousarray(array, np.float64) for array in values)
+    materials = points.materials
+    surface = kernels.Points(
+        normal=np.ascontiguousarray(points.normal, np.float64),
+        omega_o=np.ascontiguousarray(points.omega_o, np.float64),
+        albedo=np.ascontiguousarray(materials.albedo, np.float64),
+        alpha=np.ascontiguousarray(materials.alpha[:, 0], np.float64),
+        metalness=np.ascontiguousarray(materials.metalness[:, 0], np.float64),
+        lobe=lobe_of_alpha(materials.alpha),
+    )
     omega_i, diffuse, specular = np.empty((3, len(u), 3), np.float32)
     pdf = np.empty(len(u))
     uniforms = np.ascontiguousarray(u, np.float64)
     chances = np.ascontiguousarray(shares, np.float64)
-    kernels.draw(
-        kernels.Points(*arrays, lobe_of_alpha(alpha)),
-        light.table,
-        uniforms,
-        chances,
-        omega_i,
-        diffuse,
-        specular,
-        pdf,
-    )
+    kernels.draw(surface, light.table, uniforms, chances, omega_i, diffuse, specular, pdf)
     return LightDirections(omega_i, diffuse, specular, pdf[:, None], np.flatnonzero(pdf > 0.0))

@@ -115,5 +115,14 @@ def outgoing_radiance(
         means[1] += from_rays * means[4] + (1.0 - from_rays) * known.radiance
     if known.sky is not None:
         means[0] -= taken_out * (means[5] - known.sky.radiance)
-    error = np.sqrt(spread.variance(shares)).astype(np.float32)
-    return Radiance(*means[:4].astype(np.float32), error, num_passes * per_pass, num_passes - 1, shares)
+    direct, bounced, specular, visibility = means[:4].astype(np.float32)
+    return Radiance(
+        direct=direct,
+        indirect=bounced,
+        specular=specular,
+        visibility=visibility,
+        standard_error=np.sqrt(spread.variance(shares)).astype(np.float32),
+        num_samples=num_passes * per_pass,
+        freedom=num_passes - 1,
+        shares=shares,
+    )
