@@ -145,7 +145,7 @@ def baked_picture(surface, environment):
     mirror = 2.0 * dot(normal, -direction) * normal + direction
     rough = np.full(len(normal), surface.perceptual_roughness)
     scale, bias = split_sum(dot(normal, -direction)[:, 0], rough)
-    specular = base_reflectance(materials) * scale[:, None] + bias[:, None]
+    specular = base_reflectance(materials.albedo, materials.metalness) * scale[:, None] + bias[:, None]
     specular = specular * prefilter(environment).lookup(mirror, rough)
     return diffuse.reshape(SIZE, SIZE, 3), specular.reshape(SIZE, SIZE, 3)
 

@@ -1,8 +1,13 @@
 """The reflection model: Lambert plus GGX with Schlick's Fresnel and shadowing terms.
 
-All vectors are unit and point away from the surface; `alpha` is the GGX width (perceptual roughness
-squared). Values with `_cos` include the cosine at the light's side. Source: supplement Eqs. 3-5; the
-same formulas as `flashcache.physical.brdf`, in numpy.
+    f = (1 - m) albedo / pi + F D G(n.i) G(n.o) / (4 (n.i) (n.o))
+    F = F0 + (1 - F0) (1 - o.h)^5                         F0 = m albedo + (1 - m) 0.04
+    D = alpha^2 / (pi (cos^2 alpha^2 + sin^2)^2)          G(c) = c / (c (1 - k) + k),  k = alpha / 2
+
+with metalness m, and cos and sin of the angle between normal and half vector h. All vectors are unit and
+point away from the surface; `alpha` is the GGX width (perceptual roughness squared). Values with `_cos`
+include the cosine at the light's side. `brdf_kernels` says the same for compiled loops, and
+`flashcache.physical.brdf` in torch. Source: supplement Eqs. 3-5.
 """
 
 from dataclasses import dataclass
@@ -15,7 +20,7 @@ DIELECTRIC_F0 = 0.04
 """Reflectance of a non-metal at normal incidence."""
 MIN_ALPHA = 1e-4
 """Narrowest lobe; smaller widths are raised to it."""
-_FLOOR = 1.2e-7
+FLOOR = 1.2e-7
 RowIndex = slice | NDArray[np.integer] | NDArray[np.bool_]
 """Picks some rows of arrays that belong together."""
 
@@ -42,9 +47,14 @@ def materials_from_roughness(albedo: Array, perceptual_roughness: Array, metalne
     return Materials(albedo, np.maximum(alpha, MIN_ALPHA).astype(albedo.dtype), metalness)
 
 
-def base_reflectance(materials: Materials) -> Array:
-    """Return the Fresnel reflectance at normal incidence, F0 [*batch, 3]."""
-    return materials.metalness * materials.albedo + (1.0 - materials.metalness) * DIELECTRIC_F0
+def base_reflectance(albedo: Array, metalness: Array) -> Array:
+    """Return the Fresnel reflectance at normal incidence, F0 [*batch, channel]."""
+    return metalness * albedo + (1.0 - metalness) * DIELECTRIC_F0
+
+
+def schlick_weight(cosine: Array) -> Array:
+    """Return Schlick's (1 - cos)^5 of a cosine, which is clipped to [0, 1]."""
+    return (1.0 - np.clip(cosine, 0.0, 1.0)) ** 5
 
 
 def ggx_density(cosine_squared: Array, sine_squared: Array, alpha: Array) -> Array:
@@ -53,12 +63,13 @@ def ggx_density(cosine_squared: Array, sine_squared: Array, alpha: Array) -> Arr
     Both are taken because 1 - cos^2 loses every digit of a narrow lobe in single precision.
     """
     width = alpha * alpha
-    return width / (np.pi * np.maximum(cosine_squared * width + sine_squared, _FLOOR * width) ** 2)
+    return width / (np.pi * np.maximum(cosine_squared * width + sine_squared, FLOOR * width) ** 2)
 
 
-def _shadowing(cosine: Array, alpha: Array) -> Array:
+def shadowing_divisor(cosine: Array | float, alpha: Array) -> Array:
+    """Return what a cosine is divided by to give its shadowing term: G(c) = c / (c (1 - k) + k)."""
     k = 0.5 * alpha
-    return cosine / np.maximum(cosine * (1.0 - k) + k, _FLOOR)
+    return np.maximum(cosine * (1.0 - k) + k, FLOOR)
 
 
 @dataclass(frozen=True)
@@ -91,11 +102,12 @@ def brdf_cos(omega_o: Array, omega_i: Array, normal: Array, materials: Materials
     n_dot_i = np.maximum(dot(normal, omega_i), 0.0)
     n_dot_o = np.maximum(dot(normal, omega_o), 0.0)
     diffuse_cos = (1.0 - materials.metalness) * materials.albedo * (n_dot_i / np.pi)
-    f0 = base_reflectance(materials)
-    fresnel = f0 + (1.0 - f0) * (1.0 - half.o_dot_h) ** 5
+    f0 = base_reflectance(materials.albedo, materials.metalness)
+    fresnel = f0 + (1.0 - f0) * schlick_weight(half.o_dot_h)
     density = ggx_density(half.n_dot_h**2, half.sine_squared, materials.alpha)
-    shadowing = _shadowing(n_dot_i, materials.alpha) * _shadowing(n_dot_o, materials.alpha)
-    specular_cos = fresnel * (density * shadowing / (4.0 * np.maximum(n_dot_o, _FLOOR)))
+    shadowing = n_dot_i / shadowing_divisor(n_dot_i, materials.alpha)
+    shadowing = shadowing * (n_dot_o / shadowing_divisor(n_dot_o, materials.alpha))
+    specular_cos = fresnel * (density * shadowing / (4.0 * np.maximum(n_dot_o, FLOOR)))
     return diffuse_cos, specular_cos
 
 
@@ -129,4 +141,4 @@ def ggx_sample(u1: Array, u2: Array, omega_o: Array, normal: Array, alpha: Array
 def ggx_pdf(half: HalfVector, alpha: Array) -> Array:
     """Return the density of `ggx_sample`, 1/sr, [*batch, 1]: D(h) (n.h) / (4 omega_o.h)."""
     density = ggx_density(half.n_dot_h**2, half.sine_squared, alpha)
-    return density * half.n_dot_h / (4.0 * np.maximum(half.o_dot_h, _FLOOR))
+    return density * half.n_dot_h / (4.0 * np.maximum(half.o_dot_h, FLOOR))

@@ -26,7 +26,7 @@ from lambent_relight.baked.light import (
 from lambent_relight.baked.scene import BakedScene
 from lambent_relight.baked.split_sum import split_sum
 from lambent_relight.baked.transport_lobes import open_share
-from lambent_relight.brdf import DIELECTRIC_F0
+from lambent_relight.brdf import base_reflectance
 from lambent_relight.environment import harmonics
 from lambent_relight.environment.maps import Environment, environment_from_array
 from numpy import ndarray
@@ -59,7 +59,7 @@ class LitSurface:
         seen = self.light.prefiltered.lookup(mirror @ self.turn.T, roughness)
         arriving = free * seen + (1.0 - free) * self.around[texels]
         gain = self.diffuse[texels] + metal * scale * arriving
-        offset = ((1.0 - metal) * np.float32(DIELECTRIC_F0) * scale + bias) * arriving
+        offset = (base_reflectance(np.zeros_like(metal), metal) * scale + bias) * arriving
         return gain.astype(np.float32), offset.astype(np.float32)
 
 

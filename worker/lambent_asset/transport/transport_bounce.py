@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from lambent_relight.baked.transport_kernels import NearestPoint
-from lambent_relight.brdf import DIELECTRIC_F0
+from lambent_relight.brdf import base_reflectance
 from numpy import ndarray
 
 from lambent_asset.transport.transport_rays import CELL, BakedSurface, Occlusion
@@ -39,7 +39,7 @@ class Reflectors:
 
     def base_reflectance(self) -> Float[ndarray, "texels 3"]:
         """Return F0."""
-        return self.metalness * self.albedo + (1.0 - self.metalness) * DIELECTRIC_F0
+        return base_reflectance(self.albedo, self.metalness)
 
 
 def indirect_transfer(

@@ -14,6 +14,8 @@ import numpy as np
 from lambent_compute.compiling import compiled
 from numpy.typing import NDArray
 
+from lambent_relight.brdf_kernels import ggx_density, half_vector, schlick_weight, specular_cos
+
 Rows = NDArray[np.float32]
 
 NARROW_ALPHA, WIDE_ALPHA = 0.05, 0.15
@@ -65,8 +67,6 @@ def _glints(normal, omega_o, mirror, alpha, scale, f0, direction, radiance, shar
         ox, oy, oz = omega_o[p, 0], omega_o[p, 1], omega_o[p, 2]
         nx, ny, nz = normal[p, 0], normal[p, 1], normal[p, 2]
         n_dot_o = max(nx * ox + ny * oy + nz * oz, np.float32(1e-6))
-        k = half * width
-        shadow_o = one / (n_dot_o * (one - k) + k)
         taken_r, taken_g, taken_b = zero, zero, zero
         for light in range(len(direction)):
             lx, ly, lz = direction[light, 0], direction[light, 1], direction[light, 2]
@@ -80,16 +80,10 @@ def _glints(normal, omega_o, mirror, alpha, scale, f0, direction, radiance, shar
             n_dot_i = nx * lx + ny * ly + nz * lz
             if n_dot_i <= zero or share[light, p] <= zero:
                 continue
-            hx, hy, hz = ox + lx, oy + ly, oz + lz
-            length = max(np.sqrt(hx * hx + hy * hy + hz * hz), np.float32(1e-6))
-            hx, hy, hz = hx / length, hy / length, hz / length
-            n_dot_h = max(nx * hx + ny * hy + nz * hz, zero)
-            o_dot_h = min(max(ox * hx + oy * hy + oz * hz, zero), one)
-            spread = n_dot_h * n_dot_h * (square - one) + one
-            density = square / (np.float32(np.pi) * max(spread * spread, np.float32(1e-20)))
-            shadow_i = n_dot_i / (n_dot_i * (one - k) + k)
-            factor = trust * share[light, p] * density * shadow_i * shadow_o * np.float32(0.25)
-            grazing = (one - o_dot_h) ** 5
+            n_dot_h, sine_squared, o_dot_h = half_vector(ox, oy, oz, lx, ly, lz, nx, ny, nz)
+            density = ggx_density(n_dot_h, sine_squared, width)
+            factor = trust * share[light, p] * specular_cos(density, n_dot_o, n_dot_i, width)
+            grazing = schlick_weight(o_dot_h)
             for channel in range(3):
                 fresnel = f0[p, channel] + (one - f0[p, channel]) * grazing
                 added[p, channel] += factor * fresnel * radiance[light, channel]

@@ -15,7 +15,7 @@ from lambent_relight.baked.scene import BakedScene, texel_positions
 from lambent_relight.baked.split_sum import split_sum
 from lambent_relight.baked.transport_kernels import NearestPoint
 from lambent_relight.baked.transport_lobes import open_share
-from lambent_relight.brdf import DIELECTRIC_F0
+from lambent_relight.brdf import base_reflectance
 from lambent_relight.edits import MaterialEdit
 
 
@@ -49,7 +49,7 @@ class BakedHits:
         arriving = np.maximum(texel_irradiance(lit, light, bands), 0.0) + bounced
         albedo, self._roughness = edit.apply(scene.albedo, scene.perceptual_roughness)
         self._diffuse = (1.0 - scene.metalness) * albedo * arriving / np.float32(np.pi)
-        self._f0 = scene.metalness * albedo + (1.0 - scene.metalness) * np.float32(DIELECTRIC_F0)
+        self._f0 = base_reflectance(albedo, scene.metalness)
         self._around = bounced * scene.surroundings[:, None]
 
     def __call__(self, position: NDArray[np.float32], omega_o: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -30,7 +30,7 @@ from lambent_relight.baked.shadow_maps import ShadowMap, pattern_turns
 from lambent_relight.baked.split_sum import split_sum
 from lambent_relight.baked.transport_lobes import open_share
 from lambent_relight.baked.view import BakedView
-from lambent_relight.brdf import DIELECTRIC_F0, MIN_ALPHA
+from lambent_relight.brdf import base_reflectance, materials_from_roughness
 from lambent_relight.edits import MaterialEdit
 
 
@@ -62,8 +62,8 @@ def lobes_of(view: BakedView, edit: MaterialEdit, *, preview: bool) -> Lobes:
     cosine = dot(view.normal, view.omega_o)
     mirror = (2.0 * cosine * view.normal - view.omega_o).astype(np.float32)
     scale, bias = split_sum(cosine[:, 0], roughness[:, 0])
-    alpha = np.maximum(roughness[:, 0] ** 2, MIN_ALPHA).astype(np.float32)
-    f0 = view.metalness * albedo + (1.0 - view.metalness) * np.float32(DIELECTRIC_F0)
+    alpha = materials_from_roughness(albedo, roughness, view.metalness).alpha[:, 0].astype(np.float32)
+    f0 = base_reflectance(albedo, view.metalness)
     reflectance = f0 * scale[:, None] + bias[:, None]
     free = view.openness if preview else open_share(mirror, roughness[:, 0], view.visibility)
     return Lobes(

@@ -3,7 +3,7 @@
 Reflected radiance under constant unit light is F0 scale + bias, with the reflection model of
 `lambent_relight.brdf`. From half vectors drawn with density D(h) (n.h), the integrand is
 
-    weight = G1(n.omega_i) (omega_o.h) / ((n.h) (n.omega_o (1 - k) + k)),    k = alpha / 2,
+    weight = G(n.omega_i) (omega_o.h) / ((n.h) (n.omega_o (1 - k) + k)),    k = alpha / 2,
 
 times (1 - f) for the scale and f for the bias, f = (1 - omega_o.h)^5. tan^2 of h is alpha^2 u / (1 - u) with
 u = 1 - (1 - t)^3, which puts samples into the tail that matters at grazing angles; sums are over midpoints of
@@ -19,7 +19,7 @@ import numpy as np
 from lambent_core.directions import Array
 from numpy.typing import NDArray
 
-from lambent_relight.brdf import MIN_ALPHA
+from lambent_relight.brdf import MIN_ALPHA, schlick_weight, shadowing_divisor
 
 TABLE_SIDE = 32
 """Entries along the cosine and along perceptual roughness."""
@@ -48,9 +48,9 @@ def _entries(cosine: float, perceptual_roughness: Array) -> NDArray[np.float32]:
     n_dot_i = 2.0 * o_dot_h * n_dot_h - cosine
     # Half vectors that face away from the viewer reflect nothing.
     lit = np.where((n_dot_i > 0.0) & (o_dot_h > 0.0), n_dot_i, 0.0)
-    k = 0.5 * alpha
-    weight = (lit / (lit * (1.0 - k) + k)) * o_dot_h / (n_dot_h * (cosine * (1.0 - k) + k))
-    fresnel = (1.0 - np.clip(o_dot_h, 0.0, 1.0)) ** 5
+    weight = lit / shadowing_divisor(lit, alpha) * o_dot_h
+    weight /= n_dot_h * shadowing_divisor(cosine, alpha)
+    fresnel = schlick_weight(o_dot_h)
     weight *= share / _AZIMUTH
     sums = [(weight * (1.0 - fresnel)).sum(axis=(1, 2)), (weight * fresnel).sum(axis=(1, 2))]
     return np.stack(sums, axis=-1).astype(np.float32)

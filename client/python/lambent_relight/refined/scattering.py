@@ -12,7 +12,7 @@ import numpy as np
 from lambent_core.directions import Array, dot
 from numpy.typing import NDArray
 
-from lambent_relight.brdf import DIELECTRIC_F0, Materials, RowIndex
+from lambent_relight.brdf import Materials, RowIndex, base_reflectance, schlick_weight
 from lambent_relight.environment.light_sampling import COSINE_LOBE, LightSampler, lobe_of_alpha
 
 DIFFUSE_LIGHT_SHARE = 0.9
@@ -67,9 +67,9 @@ def strategy_shares(points: SurfacePoints, light: LightSampler) -> NDArray[np.fl
     materials, normal = points.materials, points.normal
     cosine = dot(normal, points.omega_o)
     albedo = materials.albedo.mean(axis=-1, keepdims=True)
-    f0 = materials.metalness * albedo + (1.0 - materials.metalness) * DIELECTRIC_F0
+    f0 = base_reflectance(albedo, materials.metalness)
     # Schlick's term at the mirror direction, less for wide lobes, which have few microfacets at that angle.
-    grazing = (1.0 - np.clip(cosine, 0.0, 1.0)) ** 5 / (1.0 + WIDE_LOBES_GRAZE_LESS * materials.alpha)
+    grazing = schlick_weight(cosine) / (1.0 + WIDE_LOBES_GRAZE_LESS * materials.alpha)
     reflected = (cosine > 0.0) * (f0 + (1.0 - f0) * grazing)
     specular = reflected[:, 0] * light.mean(
         2.0 * cosine * normal - points.omega_o, lobe_of_alpha(materials.alpha)

@@ -1,7 +1,4 @@
-"""Compiled loops of refined relighting: directions at points with their weights, and the sums over them.
-
-The formulas of `lambent_relight.brdf` for one direction at a time, in double precision.
-"""
+"""Compiled loops of refined relighting: directions at points with their weights, and the sums over them."""
 
 import math
 from typing import NamedTuple
@@ -10,7 +7,14 @@ import numpy as np
 from lambent_compute.compiling import compiled, inlined
 from numpy.typing import NDArray
 
-from lambent_relight.brdf import DIELECTRIC_F0
+from lambent_relight.brdf import FLOOR
+from lambent_relight.brdf_kernels import (
+    base_reflectance,
+    ggx_density,
+    half_vector,
+    schlick_weight,
+    specular_cos,
+)
 from lambent_relight.environment.light_sampling import COSINE_LOBE
 from lambent_relight.environment.light_sampling_kernels import (
     density_in,
@@ -18,8 +22,6 @@ from lambent_relight.environment.light_sampling_kernels import (
     pixel_at,
     row_of,
 )
-
-_FLOOR = 1.2e-7
 
 
 class Points(NamedTuple):
@@ -33,19 +35,6 @@ class Points(NamedTuple):
     metalness: NDArray[np.float64]
     lobe: NDArray[np.int64]
     """Number of the light sampler's lobe that fits `alpha`, [point]."""
-
-
-@inlined(fastmath=False)
-def _ggx_density(cosine, sine_squared, alpha):
-    """Return D(h), 1/sr."""
-    width = alpha * alpha
-    return width / (math.pi * max(cosine * cosine * width + sine_squared, _FLOOR * width) ** 2)
-
-
-@inlined(fastmath=False)
-def _shadowing(cosine, alpha):
-    k = 0.5 * alpha
-    return cosine / max(cosine * (1.0 - k) + k, _FLOOR)
 
 
 @inlined(fastmath=False)
@@ -103,30 +92,24 @@ def draw(points, table, u, shares, omega_i, diffuse, specular, pdf):
             n_dot_i = nx * x + ny * y + nz * z
             if n_dot_i <= 0.0:
                 continue
-            hx, hy, hz = ox + x, oy + y, oz + z
-            length = max(math.sqrt(hx * hx + hy * hy + hz * hz), 1e-10)
-            hx, hy, hz = hx / length, hy / length, hz / length
-            n_dot_h = max(nx * hx + ny * hy + nz * hz, 0.0)
-            ax, ay, az = ny * hz - nz * hy, nz * hx - nx * hz, nx * hy - ny * hx
-            o_dot_h = min(max(ox * hx + oy * hy + oz * hz, 0.0), 1.0)
-            density = _ggx_density(n_dot_h, ax * ax + ay * ay + az * az, alpha)
+            n_dot_h, sine_squared, o_dot_h = half_vector(ox, oy, oz, x, y, z, nx, ny, nz)
+            density = ggx_density(n_dot_h, sine_squared, alpha)
             pixel = pixel_at(table, x, y, z)
             mixed = (
                 first * density_in(table, lit_cosine, pixel)
                 + second * n_dot_i / math.pi
-                + third * density * n_dot_h / (4.0 * max(o_dot_h, _FLOOR))
+                + third * density * n_dot_h / (4.0 * max(o_dot_h, FLOOR))
                 + shares[p, 3] * density_in(table, lit_mirror, pixel)
             )
             if mixed <= 0.0:
                 continue
             pdf[r] = mixed
-            scale, above = 1.0 / max(mixed, 1e-20), max(n_dot_o, 0.0)
-            lobe = density * _shadowing(n_dot_i, alpha) * _shadowing(above, alpha)
-            lobe /= 4.0 * max(above, _FLOOR)
-            grazing = (1.0 - o_dot_h) ** 5
+            scale = 1.0 / max(mixed, 1e-20)
+            lobe = specular_cos(density, max(n_dot_o, 0.0), n_dot_i, alpha)
+            grazing = schlick_weight(o_dot_h)
             for k in range(3):
                 albedo = points.albedo[p, k]
-                f0 = metalness * albedo + (1.0 - metalness) * DIELECTRIC_F0
+                f0 = base_reflectance(albedo, metalness)
                 diffuse[r, k] = (1.0 - metalness) * albedo * (n_dot_i / math.pi) * scale
                 specular[r, k] = (f0 + (1.0 - f0) * grazing) * lobe * scale
 
