@@ -1,4 +1,4 @@
-/** Compressed copies of built files, so that a server has nothing to compress while somebody waits. */
+/** Compressed copies of built files, so that a server need not compress them for each request. */
 
 import { readdirSync, readFileSync, statSync, writeFileSync } from "node:fs";
 import { join } from "node:path";

@@ -15,7 +15,7 @@ import { Fault } from "../page/fault.js";
 import type { FilmFormat, FilmPlan } from "./plan.js";
 import { fillIn, texts } from "../words/words.js";
 
-/** Codecs of a format, the one that most players know first. */
+/** Codecs of a format, the most widely supported first. */
 const codecs: Readonly<Record<FilmFormat, readonly VideoCodec[]>> = {
   mp4: ["avc", "hevc", "av1", "vp9"],
   webm: ["vp9", "av1", "vp8"],
@@ -55,7 +55,7 @@ export type FilmWriter = {
   /** Add the next frame: opaque RGBA bytes, sRGB-encoded, rows from the top. */
   readonly add: (rgba: Uint8ClampedArray<ArrayBuffer>) => Promise<void>;
   readonly finish: () => Promise<Blob>;
-  /** Give everything back. */
+  /** Discard the film. */
   readonly cancel: () => Promise<void>;
 };
 

@@ -22,8 +22,8 @@ const samples = 2;
  * `film.unsupported`, `film.interrupted` (another bundle or light was shown, or the graphics card was lost) and
  * `film.incomplete`.
  *
- * A photograph is not compared with, because its camera does not move. Films are opaque: where nothing is behind the
- * object they get the background colour.
+ * A comparison with a photograph is left out, because the camera of a photograph does not move. Films are opaque: a
+ * transparent background becomes the background colour.
  */
 export async function makeFilm(
   viewer: Viewer,
@@ -58,7 +58,7 @@ export async function makeFilm(
   }
 }
 
-/** Let the page answer to the person; unlike timers this is not slowed down in a tab behind others. */
+/** Let the page handle input; unlike timers this is not slowed down in a background tab. */
 function turnOfOthers(): Promise<void> {
   return new Promise((resolve) => {
     const { port1, port2 } = new MessageChannel();

@@ -1,10 +1,10 @@
-/** What a film shows, and when: sizes, frames, and the state of the viewer at each of them. */
+/** The plan of a film: size, frames, and the state of the viewer at each frame. */
 
 import { Fault } from "../page/fault.js";
 import { type ViewerState, wrapped } from "../viewer/state.js";
 import { fillIn, type Problem, texts } from "../words/words.js";
 
-/** What turns once in a film: the camera, the light, or the camera one way and the light the other. */
+/** What makes one turn in a film: the camera, the light, or both in opposite directions. */
 export const motions = ["turntable", "light", "both"] as const;
 export type Motion = (typeof motions)[number];
 
@@ -20,7 +20,7 @@ export type FilmPlan = {
   readonly height: number;
   readonly seconds: number;
   readonly framesPerSecond: number;
-  /** Whether the first frame follows the last one; else the last frame shows what the first one does. */
+  /** Whether the first frame follows the last one; otherwise the last frame equals the first. */
   readonly loop: boolean;
 };
 
@@ -74,13 +74,13 @@ export function planned(asked: Partial<FilmPlan>): FilmPlan {
   return plan;
 }
 
-/** Return where in its turn a frame is, from 0 to 1. */
+/** Return the part of the turn before a frame, from 0 to 1. */
 export function momentAt(plan: FilmPlan, frame: number): number {
   const count = frameCount(plan);
   return plan.loop ? frame / count : frame / Math.max(count - 1, 1);
 }
 
-/** Return what of the state differs at a moment of a film, from 0 to 1. */
+/** Return what changes in the state by a moment of a film, from 0 to 1. */
 export function momentOf(state: ViewerState, motion: Motion, moment: number): Partial<ViewerState> {
   const turned = (degrees: number, turns: number): number => wrapped(degrees + 360 * turns * moment);
   const pose = { ...state.pose, azimuthDeg: turned(state.pose.azimuthDeg, 1) };

@@ -1,11 +1,11 @@
-/** What the head of the page says: who has signed in for which organisation, and what the operators announce. */
+/** The header of the page: who has signed in for which organisation, and what the operators announce. */
 
 import { h } from "../page/dom.js";
 import type { Api, Me, Schemas } from "../page/rest.js";
 import { texts } from "../words/words.js";
 
-/** Return the name of a user, and a choice of organisations; nothing where a one-time link was opened. */
-export function accountParts(me: Me, choose: (organisation: string) => void): readonly (Node | string)[] {
+/** Return the name of a user, and a choice of organisations; nothing for a one-time link. */
+function accountParts(me: Me, choose: (organisation: string) => void): readonly (Node | string)[] {
   if (me.user_id === null) return [];
   if (me.organisations.length < 2) return [`${me.name} · ${me.organisation_name}`];
   const select = h(
@@ -30,7 +30,7 @@ export async function showAccount(
   element.replaceChildren(...accountParts(await api.me(), choose));
 }
 
-/** Return the sentences to show, the operators' own words last; "" if there is nothing to say. */
+/** Return the notice to show, the operators' own words last; "" if there is none. */
 export function noticeText({ maintenance, drain }: Schemas["Notices"]): string {
   const told = maintenance ?? drain;
   if (told === null) return "";

@@ -19,7 +19,7 @@ export function purpose(job: Job): string {
     : named(texts.jobs.purposes, job.kind);
 }
 
-/** Return whether a job stands in lists: checks belong to their scene, and corrections to the editor of masks. */
+/** Return whether lists show a job: checks belong to their scene, and corrections to the editor of masks. */
 export function isListed(job: Job): boolean {
   return job.kind !== "check" && (job.kind !== "prepare" || job.params.corrections === undefined);
 }

@@ -1,4 +1,4 @@
-/** What a list of jobs is narrowed to: as an address, as a question to the server, and for a job at hand. */
+/** The filter of a list of jobs: as an address, as parameters of a request, and applied to one job. */
 
 import type { Job } from "../page/rest.js";
 import { isFinal } from "./store.js";
@@ -16,9 +16,9 @@ export type JobQuery = {
 
 type Choice = { readonly text: () => string; readonly values: readonly string[] };
 
-/** Kinds that stand in lists: checks belong to their scene. */
+/** Kinds that lists show: checks belong to their scene. */
 const listed: readonly string[] = ["train", "prepare", "bake", "render", "batch"];
-/** What can be chosen; the empty choice is everything. */
+/** The choices; the empty one is everything. */
 export const stateChoices: ReadonlyMap<string, Choice> = new Map([
   ["", { text: () => texts.jobs.anyState, values: [] }],
   ["active", { text: () => texts.jobs.active, values: ["queued", "running", "cancelling", "retry_wait"] }],
@@ -35,7 +35,7 @@ export const kindChoices: ReadonlyMap<string, Choice> = new Map([
 ]);
 export const everything: JobQuery = { words: "", state: "", kind: "", oldestFirst: false };
 
-/** Return the query in a fragment such as "#/?q=cup&state=failed"; what is not known is left out. */
+/** Return the query in a fragment such as "#/?q=cup&state=failed"; unknown values are left out. */
 export function queryOf(fragment: string): JobQuery {
   const given = new URLSearchParams(/^#\/\?(.*)$/s.exec(fragment)?.[1] ?? "");
   const known = (name: string, choices: ReadonlyMap<string, Choice>) => {
@@ -60,7 +60,7 @@ export function fragmentOf(query: JobQuery): string {
   return given.size === 0 ? "#/" : `#/?${given}`;
 }
 
-/** Return the query as the server takes it. */
+/** Return the query as parameters of a request. */
 export function parametersOf(query: JobQuery): URLSearchParams {
   const asked = new URLSearchParams();
   if (query.words.trim() !== "") asked.set("q", query.words.trim());

@@ -4,11 +4,11 @@ import { button } from "../page/actions.js";
 import { jobAddress, masksAddress, sceneAddress } from "../page/addresses.js";
 import { h, replaceKeyed, section, setText } from "../page/dom.js";
 import { formatDuration, formatTime } from "../page/format.js";
-import type { Job } from "../page/rest.js";
+import type { Job, Scene } from "../page/rest.js";
 import { fractionDone, jobName, progressText, purpose } from "./jobLine.js";
 import { curves, stageList } from "./live.js";
 import { logView } from "./log.js";
-import { previews } from "./previews.js";
+import { Previews } from "./previews.js";
 import { resultSection } from "./results.js";
 import { isFinal } from "./store.js";
 import { type Context, stateLabel, type View } from "./view.js";
@@ -16,71 +16,54 @@ import { fillIn, named, texts } from "../words/words.js";
 
 /** Return the page of a job. */
 export async function jobView(context: Context, jobId: string): Promise<View> {
-  const { api, store, fail } = context;
+  const { api, store } = context;
   await store.loadHistory(jobId);
-  const first = store.get(jobId)!.job;
-  // A scene that was removed has no name any more, and some jobs have none; the jobs stay.
-  const scene = first.scene_id === "" ? null : await api.scene(first.scene_id).catch(() => null);
-  const name = jobName(first);
+  const { job } = store.get(jobId)!;
+  // A deleted scene has no name any more, and some jobs have no scene; the jobs stay.
+  const scene = job.scene_id === "" ? null : await api.scene(job.scene_id).catch(() => null);
+  return new JobView(context, job, scene);
+}
 
-  const state = h("span");
-  const news = h("p", { class: "sr", role: "status" });
-  const bar = h("progress", { max: 1, "aria-label": texts.jobs.share });
-  const figures = h("p", { class: "figures" });
-  const fault = h("div");
-  const parts = [stageList(), previews(), curves()] as const;
-  const [stages, pictures, plots] = parts;
-  const results = h("div");
-  const log = logView(context, jobId);
-  const cancel = button(texts.page.cancel, context, async () => store.put(await api.cancel(jobId)));
-  const retry = button(texts.job.runAgain, context, async () => {
-    const fresh = await api.retry(jobId);
-    store.put(fresh);
-    location.hash = jobAddress(fresh.id);
-  });
+class JobView implements View {
+  readonly title: string;
+  readonly element: HTMLElement;
+  readonly #state = h("span");
+  readonly #news = h("p", { class: "sr", role: "status" });
+  readonly #bar = h("progress", { max: 1, "aria-label": texts.jobs.share });
+  readonly #figures = h("p", { class: "figures" });
+  readonly #fault = h("div");
+  readonly #stages = stageList();
+  readonly #pictures = new Previews();
+  readonly #curves = curves();
+  readonly #results = h("div");
+  readonly #log;
+  readonly #cancel;
+  readonly #retry;
+  readonly #remove;
 
-  const remove = button(texts.job.delete, context, async () => {
-    context.removals.ask({
-      id: jobId,
-      what: fillIn(texts.job.theJob, { name }),
-      send: (keepalive) => api.deleteJob(jobId, keepalive),
-      gone: () => store.forget(jobId),
+  constructor(
+    private readonly context: Context,
+    private readonly first: Job,
+    scene: Scene | null,
+  ) {
+    const { api, store } = context;
+    const { id } = first;
+    this.title = `${jobName(first)}: ${purpose(first)}`;
+    this.#log = logView(context, id);
+    this.#cancel = button(texts.page.cancel, context, async () => store.put(await api.cancel(id)));
+    this.#retry = button(texts.job.runAgain, context, async () => {
+      const fresh = await api.retry(id);
+      store.put(fresh);
+      location.hash = jobAddress(fresh.id);
     });
-    location.hash = "#/";
-  });
-
-  function draw(): void {
-    const record = store.get(jobId);
-    if (record === undefined) return;
-    const { job } = record;
-    replaceKeyed(state, job.state, () => [stateLabel(job.state)]);
-    setText(news, fillIn(texts.job.news, { state: named(texts.states, job.state) }));
-    bar.value = fractionDone(job);
-    bar.hidden = isFinal(job);
-    setText(figures, statusText(job));
-    replaceKeyed(fault, JSON.stringify([job.error, job.state]), () => faultNotice(job));
-    stages.element.hidden = job.kind !== "train" || job.started_at === null;
-    for (const part of parts) part.update(record);
-    cancel.hidden = isFinal(job) || job.state === "cancelling";
-    remove.hidden = !isFinal(job);
-    retry.hidden = job.state !== "failed" && job.state !== "cancelled";
-    replaceKeyed(results, `${job.state} ${job.bundle_id}`, () => [resultSection(context, job, name)]);
-    log.update(job);
-  }
-  const live = h("div", { class: "live" }, pictures.element, plots.element);
-  const progressed = isFinal(first)
-    ? h("details", { class: "fold" }, h("summary", {}, texts.job.history), live, stages.element)
-    : section(texts.job.progress, {}, live, stages.element);
-  draw();
-
-  return {
-    title: `${name}: ${purpose(first)}`,
-    element: h(
+    this.#remove = button(texts.job.delete, context, async () => this.#delete());
+    const masks = hasMasks(first) && scene !== null && masksLink(scene.id);
+    this.element = h(
       "div",
       {},
       h("p", {}, h("a", { href: "#/" }, texts.start.allJobs)),
-      h("h1", { tabindex: -1 }, name, " ", state),
-      news,
+      h("h1", { tabindex: -1 }, jobName(first), " ", this.#state),
+      this.#news,
       h(
         "p",
         { class: "faint" },
@@ -88,28 +71,70 @@ export async function jobView(context: Context, jobId: string): Promise<View> {
         scene !== null && " · ",
         scene !== null && h("a", { href: sceneAddress(scene.id) }, texts.job.scene),
       ),
-      bar,
-      figures,
-      fault,
-      h("div", { class: "actions" }, cancel, retry, scene !== null && hasMasks(first) && masksLink(scene.id)),
-      results,
-      progressed,
-      log.element,
-      h("section", { "aria-label": texts.job.section }, h("div", { class: "actions" }, remove)),
-    ),
-    update: (changed) => {
-      if (changed === null) store.loadHistory(jobId).catch(fail);
-      else if (changed === jobId) draw();
-    },
-    close: () => {
-      log.close();
-      pictures.close();
-    },
-  };
+      this.#bar,
+      this.#figures,
+      this.#fault,
+      h("div", { class: "actions" }, this.#cancel, this.#retry, masks),
+      this.#results,
+      this.#progress(),
+      this.#log.element,
+      h("section", { "aria-label": texts.job.section }, h("div", { class: "actions" }, this.#remove)),
+    );
+    this.#draw();
+  }
+
+  update(changed: string | null): void {
+    if (changed === null) this.context.store.loadHistory(this.first.id).catch(this.context.fail);
+    else if (changed === this.first.id) this.#draw();
+  }
+
+  close(): void {
+    this.#log.close();
+    this.#pictures.close();
+  }
+
+  #progress(): HTMLElement {
+    const live = h("div", { class: "live" }, this.#pictures.element, this.#curves.element);
+    if (!isFinal(this.first)) return section(texts.job.progress, {}, live, this.#stages.element);
+    return h("details", { class: "fold" }, h("summary", {}, texts.job.history), live, this.#stages.element);
+  }
+
+  #delete(): void {
+    const { api, store, removals } = this.context;
+    const { id } = this.first;
+    removals.ask({
+      id,
+      what: fillIn(texts.job.theJob, { name: jobName(this.first) }),
+      send: (keepalive) => api.deleteJob(id, keepalive),
+      gone: () => store.forget(id),
+    });
+    location.hash = "#/";
+  }
+
+  #draw(): void {
+    const record = this.context.store.get(this.first.id);
+    if (record === undefined) return;
+    const { job } = record;
+    replaceKeyed(this.#state, job.state, () => [stateLabel(job.state)]);
+    setText(this.#news, fillIn(texts.job.news, { state: named(texts.states, job.state) }));
+    this.#bar.value = fractionDone(job);
+    this.#bar.hidden = isFinal(job);
+    setText(this.#figures, statusText(job));
+    replaceKeyed(this.#fault, JSON.stringify([job.error, job.state]), () => faultNotice(job));
+    this.#stages.element.hidden = job.kind !== "train" || job.started_at === null;
+    for (const part of [this.#stages, this.#pictures, this.#curves]) part.update(record);
+    this.#cancel.hidden = isFinal(job) || job.state === "cancelling";
+    this.#remove.hidden = !isFinal(job);
+    this.#retry.hidden = job.state !== "failed" && job.state !== "cancelled";
+    replaceKeyed(this.#results, `${job.state} ${job.bundle_id}`, () => [
+      resultSection(this.context, job, jobName(this.first)),
+    ]);
+    this.#log.update(job);
+  }
 }
 
 /** Return the line below the bar. */
-export function statusText(job: Job): string {
+function statusText(job: Job): string {
   const parts = [];
   if (job.state === "queued") parts.push(texts.job.waiting);
   if (job.state === "cancelling") parts.push(texts.job.stopping);

@@ -1,6 +1,6 @@
 /** The live view of a running job: stages, pictures, curves. */
 
-import { h, replaceKeyed, setText } from "../page/dom.js";
+import { h, setText } from "../page/dom.js";
 import { formatDuration, formatNumber } from "../page/format.js";
 import type { Job } from "../page/rest.js";
 import { chart, thinned } from "./curves.js";
@@ -85,8 +85,8 @@ export function stageList(): Part {
 /**
  * PSNR of each stage in a plot of its own, and the losses a click away.
  *
- * The stages draw different pictures (what the cache has stored; what materials and light give), so that the second
- * begins lower: in one plot that reads as a failure.
+ * The stages render different things (the cache; materials and light), so the second begins lower, which would look
+ * like a failure in one plot.
  */
 export function curves(): Part {
   const element = h("div", { class: "charts" });
@@ -142,6 +142,8 @@ function plot(name: string, unit: string, digits: number, logarithmic: boolean) 
   picture.setAttribute("preserveAspectRatio", "none");
   picture.setAttribute("role", "img");
   picture.setAttribute("class", "chart");
+  const line = document.createElementNS(svgSpace, "polyline");
+  picture.append(line);
   const caption = h("figcaption", { class: "faint" });
   const element = h("figure", { hidden: true }, caption, picture as unknown as HTMLElement);
   const number = (value: number) => `${formatNumber(value, digits)}${unit === "" ? "" : ` ${unit}`}`;
@@ -156,14 +158,7 @@ function plot(name: string, unit: string, digits: number, logarithmic: boolean) 
       fillIn(texts.job.plot, { name, now: number(now), range, time: formatDuration(drawn.spanS) }),
     );
     picture.setAttribute("aria-label", fillIn(texts.job.plotLabel, { name, now: number(now), range }));
-    const key = drawn.curves.map((curve) => curve.points).join("|");
-    replaceKeyed(picture as unknown as HTMLElement, key, () =>
-      drawn.curves.map((curve) => {
-        const line = document.createElementNS(svgSpace, "polyline");
-        line.setAttribute("points", curve.points);
-        return line;
-      }),
-    );
+    line.setAttribute("points", drawn.points);
   };
   return { element, update };
 }

@@ -1,18 +1,18 @@
-/** What a browser sees that is not logged in: the way in, and nothing that would only be refused. */
+/** The view of a browser that is not logged in: the ways to log in, and nothing that would be refused. */
 
 import { h } from "../page/dom.js";
 import { type Api, Refused } from "../page/rest.js";
 import type { View } from "./view.js";
 import { texts } from "../words/words.js";
 
-/** Return the code in a one-time link, or in what was copied of it; null where there is none. */
+/** Return the code in a one-time link, or in a part of one; null where there is none. */
 export function codeIn(text: string): string | null {
   const given = text.trim();
   const code = given.includes("code=") ? given.split("code=").at(-1)!.split("&")[0]! : given;
   return /^[\w-]{8,200}$/.test(code) ? code : null;
 }
 
-/** Return what to say about a sign-in that the address names as failed; null where it names none. */
+/** Return the message for a failed sign-in that the address names; null where it names none. */
 export function failedSignIn(hash: string): string | null {
   const code = new URLSearchParams(hash.slice(1)).get("sign-in");
   if (code === null) return null;

@@ -30,7 +30,7 @@ export function logView({ api, fail }: Context, jobId: string) {
     stop();
     if (!details.open) return;
     load().catch(fail);
-    // A server that is away shows in the header; the next round asks again.
+    // The header shows that the server does not answer; the next round tries again.
     if (!ended) timer = setInterval(() => void load().catch(() => {}), everyMs);
   });
   return {

@@ -1,6 +1,5 @@
 /** The page of scenes, jobs and bundles: one stream of events, and one view at a time. */
 
-import { maskEditor } from "../masks/editor.js";
 import { button, explain } from "../page/actions.js";
 import { placeOf } from "../page/addresses.js";
 import { h, setText } from "../page/dom.js";
@@ -41,7 +40,7 @@ let shown: View | null = null;
 let number = 0;
 let isLocked = false;
 
-/** Take everything away that this browser may not see or do (any more). */
+/** Remove everything that this browser may not see or do (any more). */
 function lock(): void {
   if (isLocked) return;
   isLocked = true;
@@ -62,14 +61,14 @@ async function show(): Promise<void> {
   let view: View;
   try {
     if (place.kind === "scene") view = await sceneView(context, place.id);
-    else if (place.kind === "masks") view = await masksView(context, place.id, maskEditor);
+    else if (place.kind === "masks") view = await masksView(context, place.id);
     else if (place.kind === "job") view = await jobView(context, place.id);
     else view = startView(context);
   } catch (error) {
     context.fail(error);
     view = { title: "Lambent", element: h("p", {}, h("a", { href: "#/" }, texts.start.allJobs)) };
   }
-  // The visitor went on meanwhile.
+  // The visitor has opened another view meanwhile.
   if (mine !== number) {
     view.close?.();
     return;
@@ -99,7 +98,7 @@ async function logIn(): Promise<void> {
 
 let wasAway = false;
 const logOut = button(texts.locked.logOut, context, async () => {
-  // What the page says is deleted must be, and only a session can do that.
+  // What the page calls deleted must be deleted, which needs the session.
   await removals.flush();
   await api.logOut();
   location.reload();
@@ -152,10 +151,10 @@ async function run(): Promise<void> {
   }
   store.listen(changed);
   main.after(removalNotices(removals));
-  // Also when a phone puts the page away, after which it may never come back.
+  // Also when a phone suspends the page, which may never resume.
   addEventListener("pagehide", () => void removals.flush());
   addEventListener("hashchange", () => {
-    // A login link that was pasted into the page that is open.
+    // A login link was pasted while the page was open.
     if (location.hash.startsWith("#code=")) location.reload();
     else void show();
   });

@@ -4,23 +4,16 @@ import { button } from "../page/actions.js";
 import { jobAddress, sceneAddress } from "../page/addresses.js";
 import { h, replaceKeyed, setText } from "../page/dom.js";
 import { formatPercent } from "../page/format.js";
-import { type Job, newKey } from "../page/rest.js";
-import type { Finished, MaskBackend } from "../masks/backend.js";
+import { type Job, newKey, type Scene } from "../page/rest.js";
+import type { Finished } from "../masks/backend.js";
+import { type Editor, maskEditor } from "../masks/editor.js";
 import { latestPrepared, type Prepared, RestMaskBackend, readPrepared } from "../masks/restBackend.js";
 import { progressText } from "./jobLine.js";
 import { isFinal } from "./store.js";
 import type { Context, View } from "./view.js";
 import { fillIn, texts } from "../words/words.js";
 
-/** Makes the element in which masks are corrected. */
-export type OpenEditor = (given: {
-  readonly backend: MaskBackend;
-  readonly fail: (error: unknown) => void;
-  readonly finishLabel: string;
-  readonly finished: (finished: Finished) => void;
-}) => Promise<{ readonly element: HTMLElement; readonly close: () => void }>;
-
-/** Return in words how far the masks are to be believed. */
+/** Return in words how reliable the masks are. */
 export function verdict({ preparation }: Prepared): string {
   const { editable, reason, doubtful, overlap } = preparation;
   if (!editable) return texts.masks.brought;
@@ -30,91 +23,106 @@ export function verdict({ preparation }: Prepared): string {
   return fillIn(texts.masks.agreeBut, { share, frames: doubtful.slice(0, 3).join(", ") });
 }
 
-/** Return the page; without `openEditor` masks are shown and cannot be corrected. */
-export async function masksView(context: Context, sceneId: string, openEditor?: OpenEditor): Promise<View> {
-  const { api, store, fail } = context;
+/** Return the page. */
+export async function masksView(context: Context, sceneId: string): Promise<View> {
+  const { api, store } = context;
   const scene = await api.scene(sceneId);
-  const status = h("p", { class: "figures", role: "status" });
-  const content = h("div");
-  const again = button(texts.masks.again, context, order);
-  let job: Job | null = null;
-  let shown: string | null = null;
-  let closed = false;
-  let close: () => void = () => {};
+  const job =
+    (await latestPrepared(api, sceneId)) ??
+    store.all().find((each) => isUnderWay(each.job, sceneId))?.job ??
+    (await order(context, sceneId));
+  return new MasksView(context, scene, job);
+}
 
-  async function order(): Promise<void> {
-    job = await api.submit({ scene_id: sceneId, kind: "prepare" }, newKey());
-    store.put(job);
-    draw();
+async function order({ api, store }: Context, sceneId: string): Promise<Job> {
+  const job = await api.submit({ scene_id: sceneId, kind: "prepare" }, newKey());
+  store.put(job);
+  return job;
+}
+
+class MasksView implements View {
+  readonly title: string;
+  readonly element: HTMLElement;
+  readonly #status = h("p", { class: "figures", role: "status" });
+  readonly #content = h("div");
+  readonly #again: HTMLButtonElement;
+  #shown: string | null = null;
+  #closed = false;
+  #editor: Editor | null = null;
+
+  constructor(
+    private readonly context: Context,
+    private readonly scene: Scene,
+    private job: Job,
+  ) {
+    this.title = fillIn(texts.masks.pageOf, { scene: scene.name });
+    this.#again = button(texts.masks.again, context, async () => {
+      this.job = await order(context, scene.id);
+      this.#draw();
+    });
+    this.element = h(
+      "div",
+      {},
+      h("p", {}, h("a", { href: sceneAddress(scene.id) }, texts.masks.theScene)),
+      h("h1", { tabindex: -1 }, fillIn(texts.masks.titleOf, { scene: scene.name })),
+      this.#status,
+      h("div", { class: "actions" }, this.#again),
+      this.#content,
+    );
+    this.#draw();
   }
 
-  async function show(done: Job): Promise<void> {
-    if (shown === done.id) return;
-    shown = done.id;
-    const prepared = await readPrepared(api, done);
-    if (closed) return;
-    setText(status, verdict(prepared));
-    if (openEditor === undefined || !prepared.preparation.editable) {
-      content.replaceChildren(...sheetOf(prepared));
+  update(changed: string | null): void {
+    if (this.#shown !== null) return;
+    if (changed === null) this.context.store.refresh(this.job.id).catch(this.context.fail);
+    else if (changed === this.job.id) this.#draw();
+  }
+
+  close(): void {
+    this.#closed = true;
+    this.#editor?.close();
+  }
+
+  #draw(): void {
+    this.job = this.context.store.get(this.job.id)?.job ?? this.job;
+    const { id, state, error } = this.job;
+    this.#again.hidden = state !== "failed" && state !== "cancelled";
+    if (state === "succeeded") {
+      this.#show().catch(this.context.fail);
       return;
     }
-    const backend = new RestMaskBackend(api, sceneId, prepared, newKey);
+    const told = isFinal(this.job)
+      ? (error?.message ?? texts.masks.jobCancelled)
+      : progressText(this.job) || texts.masks.waiting;
+    setText(this.#status, told);
+    replaceKeyed(this.#content, id, () => [h("p", {}, h("a", { href: jobAddress(id) }, texts.masks.theJob))]);
+  }
+
+  /** Show the masks of the job, which has succeeded. */
+  async #show(): Promise<void> {
+    if (this.#shown === this.job.id) return;
+    this.#shown = this.job.id;
+    const { api, fail } = this.context;
+    const prepared = await readPrepared(api, this.job);
+    if (this.#closed) return;
+    setText(this.#status, verdict(prepared));
+    if (!prepared.preparation.editable) {
+      this.#content.replaceChildren(...sheetOf(prepared));
+      return;
+    }
+    const backend = new RestMaskBackend(api, this.scene.id, prepared, newKey);
     const finished = ({ address }: Finished) => {
       if (address !== undefined) location.hash = address;
     };
-    const editor = await openEditor({ backend, fail, finishLabel: texts.masks.use, finished });
-    if (closed) {
+    const editor = await maskEditor({ backend, fail, finishLabel: texts.masks.use, finished });
+    if (this.#closed) {
       editor.close();
       return;
     }
-    setText(status, "");
-    close = () => editor.close();
-    content.replaceChildren(editor.element);
+    setText(this.#status, "");
+    this.#editor = editor;
+    this.#content.replaceChildren(editor.element);
   }
-
-  function draw(): void {
-    if (job === null) return;
-    job = store.get(job.id)?.job ?? job;
-    const { id, state, error } = job;
-    again.hidden = state !== "failed" && state !== "cancelled";
-    if (state === "succeeded") {
-      show(job).catch(fail);
-      return;
-    }
-    if (isFinal(job)) setText(status, error?.message ?? texts.masks.jobCancelled);
-    else setText(status, progressText(job) || texts.masks.waiting);
-    replaceKeyed(content, id, () => [h("p", {}, h("a", { href: jobAddress(id) }, texts.masks.theJob))]);
-  }
-
-  job = await latestPrepared(api, sceneId);
-  if (job === null) {
-    const running = store.all().find((each) => isUnderWay(each.job, sceneId));
-    if (running === undefined) await order();
-    else job = running.job;
-  }
-  draw();
-
-  return {
-    title: fillIn(texts.masks.pageOf, { scene: scene.name }),
-    element: h(
-      "div",
-      {},
-      h("p", {}, h("a", { href: sceneAddress(sceneId) }, texts.masks.theScene)),
-      h("h1", { tabindex: -1 }, fillIn(texts.masks.titleOf, { scene: scene.name })),
-      status,
-      h("div", { class: "actions" }, again),
-      content,
-    ),
-    update: (changed) => {
-      if (job === null || shown !== null) return;
-      if (changed === null) store.refresh(job.id).catch(fail);
-      else if (changed === job.id) draw();
-    },
-    close: () => {
-      closed = true;
-      close();
-    },
-  };
 }
 
 function isUnderWay(job: Job, sceneId: string): boolean {

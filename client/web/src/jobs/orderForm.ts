@@ -1,4 +1,4 @@
-/** The form that starts a job: a preset with an estimate of its time, and settings over it. */
+/** The form that starts a job: a preset with an estimate of its time, and settings that override it. */
 
 import { button } from "../page/actions.js";
 import { jobAddress, masksAddress } from "../page/addresses.js";
@@ -14,7 +14,7 @@ export class BadSetting extends Error {
   override readonly name = "BadSetting";
 }
 
-/** Return the settings of lines such as "stage_two.num_rays=512"; throws BadSetting for a line that is none. */
+/** Return the settings of lines such as "stage_two.num_rays=512"; throws BadSetting for any other line. */
 export function parseSettings(text: string): Record<string, string> {
   const found: Record<string, string> = {};
   for (const line of text.split("\n").map((each) => each.trim())) {
@@ -103,7 +103,7 @@ export function orderForm(context: Context, sceneId: string): HTMLElement {
       "div",
       { class: "actions" },
       start,
-      h("a", { class: "button", href: masksAddress(sceneId) }, texts.order.masks),
+      h("a", { class: "button", href: masksAddress(sceneId) }, texts.job.masks),
       queue,
     ),
   );

@@ -10,7 +10,7 @@ import { metricRows, type Report, verdicts } from "./verdicts.js";
 import type { Context } from "./view.js";
 import { fillIn, texts } from "../words/words.js";
 
-/** Files of a bundle that other programs open: their path, and what the button calls them. */
+/** Files of a bundle that other programs open: their path, and the name on the button. */
 const assets: readonly [string, string][] = [
   ["mesh/asset.glb", ".glb"],
   ["mesh/asset.usdz", ".usdz"],
@@ -118,7 +118,7 @@ function downloads(artifacts: readonly Artifact[], files: BundleDetail["files"])
   ];
 }
 
-/** Return what the figures mean, and the figures themselves a click away. */
+/** Return the figures in words, and a table of them that opens on a click. */
 function told(report: Report): HTMLElement[] {
   const words = verdicts(report).map(({ about, figure, words }) =>
     h("div", {}, h("dt", {}, about), h("dd", {}, h("b", {}, figure), `, ${words}`)),
@@ -151,7 +151,7 @@ function metricTable(report: Report): HTMLElement[] {
   return [fold(texts.results.figures, table(rows, texts.results.figures, head))];
 }
 
-/** Return a name of a figure, such as "albedo_rgb_ratio/psnr_gamma", which breaks after its signs and not in its words. */
+/** Return a figure's name, such as "albedo_rgb_ratio/psnr_gamma", that line breaks do not cut within a word. */
 function breakable(name: string): Node[] {
   return name
     .split(/(?<=[/_])/)

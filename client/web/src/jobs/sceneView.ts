@@ -2,119 +2,142 @@
 
 import { button } from "../page/actions.js";
 import { h, replaceKeyed, section, setText } from "../page/dom.js";
-import { formatSize, formatTime } from "../page/format.js";
+import { formatTime } from "../page/format.js";
 import type { Scene, SceneReport } from "../page/rest.js";
 import { isListed, jobList, progressText, purpose } from "./jobLine.js";
 import { orderForm } from "./orderForm.js";
 import { reportSection } from "./report.js";
 import { isFinal } from "./store.js";
 import { uploadPanel } from "./uploadPanel.js";
-import { type Context, stateLabel, type View } from "./view.js";
+import { type Context, sizeText, stateLabel, type View } from "./view.js";
 import { fillIn, texts } from "../words/words.js";
 
 /** Return the page of a scene that is known. */
 export async function sceneView(context: Context, sceneId: string): Promise<View> {
-  const { api, store, fail } = context;
-  let [scene, report]: [Scene, SceneReport] = await Promise.all([api.scene(sceneId), api.report(sceneId)]);
+  return new SceneView(context, ...(await read(context, sceneId)));
+}
 
-  const state = h("span");
-  const figures = h("p", { class: "faint" });
-  const panel = scene.state === "open" ? uploadPanel(context, scene) : null;
-  const checking = h("p", { class: "notice", role: "status", hidden: true });
-  const check = button(texts.scene.check, context, () => startCheck(context, sceneId));
-  const checkRow = h("div", { class: "actions" }, check);
-  const findings = h("div");
-  const order = h("div");
-  const jobs = jobList(texts.scene.jobs, purpose);
-  const jobsSection = section(texts.jobs.title, {}, jobs.element);
-  const remove = button(texts.scene.delete, context, async () => {
-    context.removals.ask({
-      id: sceneId,
-      what: fillIn(texts.scene.theScene, { name: scene.name }),
-      send: (keepalive) => api.deleteScene(sceneId, keepalive),
-    });
-    location.hash = "#/";
-  });
+function read({ api }: Context, sceneId: string): Promise<[Scene, SceneReport]> {
+  return Promise.all([api.scene(sceneId), api.report(sceneId)]);
+}
 
-  const seen = new Map<string, string>();
-  const mine = () => store.all().filter(({ job }) => job.scene_id === sceneId);
+class SceneView implements View {
+  readonly title: string;
+  readonly element: HTMLElement;
+  readonly #state = h("span");
+  readonly #figures = h("p", { class: "faint" });
+  readonly #checking = h("p", { class: "notice", role: "status", hidden: true });
+  readonly #checkRow = h("div", { class: "actions" });
+  readonly #findings = h("div");
+  readonly #order = h("div");
+  readonly #jobs = jobList(texts.scene.jobs, purpose);
+  readonly #jobsSection = section(texts.jobs.title, {}, this.#jobs.element);
+  readonly #upload: ReturnType<typeof uploadPanel> | null;
+  /** State and stage of each job when the report was last read for it. */
+  readonly #seen = new Map<string, string>();
 
-  function draw(): void {
-    const all = mine().map(({ job }) => job);
-    const running = all.find((job) => job.kind === "check" && !isFinal(job));
-    replaceKeyed(state, scene.state, () => [stateLabel(scene.state)]);
-    const size =
-      scene.num_files > 0
-        ? `${fillIn(texts.page.files, { n: scene.num_files })}, ${formatSize(scene.size_bytes)} · `
-        : "";
-    setText(figures, `${size}${fillIn(texts.scene.created, { time: formatTime(scene.created_at) })}`);
-    checking.hidden = running === undefined;
-    if (running !== undefined) {
-      const progress = progressText(running);
-      setText(checking, `${texts.scene.checking} ${progress}`);
-    }
-    checkRow.hidden = scene.state !== "uploaded" || running !== undefined;
-    replaceKeyed(findings, JSON.stringify(report), () => [reportSection(scene, report)]);
-    const usable = scene.state === "ready" || scene.state === "uploaded";
-    replaceKeyed(order, String(usable), () => (usable ? [orderForm(context, sceneId)] : []));
-    jobs.update(all.filter(isListed));
-    jobsSection.hidden = jobs.element.hidden;
-  }
-
-  // The stream begins with the newest jobs of all scenes, which may leave out these.
-  async function loadJobs(): Promise<void> {
-    const { items } = await api.jobs(null, new URLSearchParams({ scene: sceneId }));
-    for (const job of items) store.put(job);
-    draw();
-  }
-
-  async function reload(): Promise<void> {
-    [scene, report] = await Promise.all([api.scene(sceneId), api.report(sceneId)]);
-    draw();
-  }
-  draw();
-  loadJobs().catch(fail);
-
-  return {
-    title: scene.name,
-    element: h(
+  constructor(
+    private readonly context: Context,
+    private scene: Scene,
+    private report: SceneReport,
+  ) {
+    this.title = scene.name;
+    this.#upload = scene.state === "open" ? uploadPanel(context, scene) : null;
+    this.#checkRow.append(button(texts.scene.check, context, () => this.#startCheck()));
+    const remove = button(texts.scene.delete, context, async () => this.#delete());
+    this.element = h(
       "div",
       {},
       h("p", {}, h("a", { href: "#/" }, texts.start.allJobs)),
-      h("h1", { tabindex: -1 }, scene.name, " ", state),
-      figures,
-      panel !== null && h("section", { "aria-label": texts.scene.upload }, panel.element),
-      checking,
-      checkRow,
-      findings,
-      order,
-      jobsSection,
+      h("h1", { tabindex: -1 }, scene.name, " ", this.#state),
+      this.#figures,
+      this.#upload !== null && h("section", { "aria-label": texts.scene.upload }, this.#upload.element),
+      this.#checking,
+      this.#checkRow,
+      this.#findings,
+      this.#order,
+      this.#jobsSection,
       h(
         "section",
         { "aria-label": texts.scene.section },
         h("div", { class: "actions" }, remove),
         h("p", { class: "faint" }, texts.scene.bundlesStay),
       ),
-    ),
-    update: (jobId) => {
-      if (jobId === null) {
-        reload().catch(fail);
-        return;
-      }
-      const record = store.get(jobId);
-      if (record?.job.scene_id !== sceneId) return;
-      draw();
-      // A check ends with a report, and so does the first step of a job.
-      const { id, state, progress } = record.job;
-      const now = `${state} ${progress?.stage}`;
-      if (seen.get(id) === now) return;
-      seen.set(id, now);
-      reload().catch(fail);
-    },
-    close: () => panel?.close(),
-  };
-}
+    );
+    this.#draw();
+    this.#loadJobs().catch(context.fail);
+  }
 
-async function startCheck({ api, store }: Context, sceneId: string): Promise<void> {
-  store.put(await api.submit({ scene_id: sceneId, kind: "check" }, `check-${sceneId}-${Date.now()}`));
+  update(jobId: string | null): void {
+    if (jobId === null) {
+      this.#reload();
+      return;
+    }
+    const record = this.context.store.get(jobId);
+    if (record?.job.scene_id !== this.scene.id) return;
+    this.#draw();
+    // A check ends with a report, and so does the first step of a job.
+    const { id, state, progress } = record.job;
+    const now = `${state} ${progress?.stage}`;
+    if (this.#seen.get(id) === now) return;
+    this.#seen.set(id, now);
+    this.#reload();
+  }
+
+  close(): void {
+    this.#upload?.close();
+  }
+
+  #draw(): void {
+    const { scene, report, context } = this;
+    const all = context.store.all().flatMap(({ job }) => (job.scene_id === scene.id ? [job] : []));
+    const running = all.find((job) => job.kind === "check" && !isFinal(job));
+    replaceKeyed(this.#state, scene.state, () => [stateLabel(scene.state)]);
+    const created = fillIn(texts.scene.created, { time: formatTime(scene.created_at) });
+    setText(this.#figures, `${sizeText(scene)}${created}`);
+    this.#checking.hidden = running === undefined;
+    if (running !== undefined) {
+      setText(this.#checking, `${texts.scene.checking} ${progressText(running)}`);
+    }
+    this.#checkRow.hidden = scene.state !== "uploaded" || running !== undefined;
+    replaceKeyed(this.#findings, JSON.stringify(report), () => [reportSection(scene, report)]);
+    const usable = scene.state === "ready" || scene.state === "uploaded";
+    replaceKeyed(this.#order, String(usable), () => (usable ? [orderForm(context, scene.id)] : []));
+    this.#jobs.update(all.filter(isListed));
+    this.#jobsSection.hidden = this.#jobs.element.hidden;
+  }
+
+  /** The stream begins with the newest jobs of all scenes, which may leave out these. */
+  async #loadJobs(): Promise<void> {
+    const { api, store } = this.context;
+    const { items } = await api.jobs(null, new URLSearchParams({ scene: this.scene.id }));
+    for (const job of items) store.put(job);
+    this.#draw();
+  }
+
+  #reload(): void {
+    read(this.context, this.scene.id)
+      .then(([scene, report]) => {
+        this.scene = scene;
+        this.report = report;
+        this.#draw();
+      })
+      .catch(this.context.fail);
+  }
+
+  async #startCheck(): Promise<void> {
+    const { api, store } = this.context;
+    const { id } = this.scene;
+    store.put(await api.submit({ scene_id: id, kind: "check" }, `check-${id}-${Date.now()}`));
+  }
+
+  #delete(): void {
+    const { id, name } = this.scene;
+    this.context.removals.ask({
+      id,
+      what: fillIn(texts.scene.theScene, { name }),
+      send: (keepalive) => this.context.api.deleteScene(id, keepalive),
+    });
+    location.hash = "#/";
+  }
 }

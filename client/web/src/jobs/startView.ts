@@ -6,10 +6,10 @@ import { arrange, h, section } from "../page/dom.js";
 import { formatSize, formatTime } from "../page/format.js";
 import type { Bundle, Scene } from "../page/rest.js";
 import { thumbnailOf } from "../page/thumbnail.js";
-import { jobsPanel } from "./jobsPanel.js";
+import { JobsPanel } from "./jobsPanel.js";
 import { isFinal } from "./store.js";
 import { uploadPanel } from "./uploadPanel.js";
-import { type Context, stateLabel, type View } from "./view.js";
+import { type Context, sizeText, stateLabel, type View } from "./view.js";
 import { fillIn, texts } from "../words/words.js";
 
 type Page<T> = { readonly items: readonly T[]; readonly next_cursor: string | null };
@@ -18,7 +18,7 @@ type Page<T> = { readonly items: readonly T[]; readonly next_cursor: string | nu
 export function startView(context: Context): View {
   const { api, store, fail } = context;
   const panel = uploadPanel(context, null);
-  const jobs = jobsPanel(context);
+  const jobs = new JobsPanel(context);
   const scenes = pagedList(texts.start.sceneList, sceneLine, api.scenes, context);
   const bundles = pagedList(
     texts.start.bundleList,
@@ -98,10 +98,6 @@ function soon(act: () => void): { ask: () => void; stop: () => void } {
 }
 
 function sceneLine(scene: Scene): HTMLLIElement {
-  const size =
-    scene.num_files > 0
-      ? `${fillIn(texts.page.files, { n: scene.num_files })}, ${formatSize(scene.size_bytes)} · `
-      : "";
   return h(
     "li",
     { class: "card tile" },
@@ -112,7 +108,7 @@ function sceneLine(scene: Scene): HTMLLIElement {
       h("h3", {}, h("a", { href: sceneAddress(scene.id) }, scene.name)),
       stateLabel(scene.state),
     ),
-    h("p", { class: "faint" }, `${size}${formatTime(scene.created_at)}`),
+    h("p", { class: "faint" }, `${sizeText(scene)}${formatTime(scene.created_at)}`),
   );
 }
 

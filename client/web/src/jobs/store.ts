@@ -109,7 +109,7 @@ export class JobStore {
       const job = JSON.parse(message.data) as Job;
       const before = this.#records.get(job.id);
       this.put(job);
-      // While the stream was away things may have happened that the history lacks.
+      // The history may lack what happened while the stream was interrupted.
       if (before !== undefined && before.seq >= 0 && before.seq < job.last_event) this.#catchUp(job.id);
       return;
     }
@@ -136,7 +136,7 @@ export class JobStore {
   }
 
   #catchUp(jobId: string): void {
-    // An unreachable server is asked again with the next message.
+    // If the server does not answer, the next message tries again.
     this.loadHistory(jobId).catch(() => {});
   }
 

@@ -7,12 +7,12 @@ export type StreamMessage = { readonly event: string; readonly id: string; reado
 
 /** The server sends a comment every 15 s; a connection that is quiet for this long is dead. */
 export const silenceMs = 40_000;
-/** A timer that comes this late has slept with the machine, and so has the connection. */
+/** A timer this late means that the machine has slept, and that the connection is dead. */
 export const sleepMs = 15_000;
 const tickMs = 5_000;
 const firstPauseMs = 500;
 const longestPauseMs = 10_000;
-/** Proxies let that much of Last-Event-ID through; a longer one is dropped, and snapshots begin anew. */
+/** Proxies accept a Last-Event-ID of this length; a longer one is dropped, and snapshots begin anew. */
 const longestId = 7_900;
 
 /** Return the messages in `text`, and what is left of one that is not complete. */
@@ -35,7 +35,7 @@ export function parse(text: string): { messages: StreamMessage[]; rest: string }
 export type Following = {
   readonly api: Pick<Api, "stream">;
   readonly onMessage: (message: StreamMessage) => void;
-  /** Called with false when the server is away, and with true when it answers again. */
+  /** Called with false when the server does not answer, and with true when it answers again. */
   readonly onConnection: (connected: boolean) => void;
   /** Ends the following. */
   readonly signal: AbortSignal;
@@ -44,7 +44,7 @@ export type Following = {
 /**
  * Follow all jobs until `signal`; after a break it continues after the last message, without gap or
  * repetition.
- * A connection that a sleeping machine has lost is noticed by the clock and opened anew. Throws Refused with
+ * The clock tells when a sleeping machine has lost its connection, which is then opened anew. Throws Refused with
  * status 401 where this browser is not logged in.
  */
 export async function follow({ api, onMessage, onConnection, signal }: Following): Promise<void> {
@@ -80,7 +80,7 @@ export async function follow({ api, onMessage, onConnection, signal }: Following
   }
 }
 
-/** One connection, which ends itself when nothing can come any more. */
+/** One connection, which ends itself when nothing more can arrive. */
 class Connection {
   readonly #controller = new AbortController();
   readonly #timer: ReturnType<typeof setInterval>;
@@ -110,7 +110,7 @@ class Connection {
     if (response.body === null) return;
     const decoder = new TextDecoder();
     const reader = response.body.getReader();
-    // A stream that was opened by something else than fetch does not know the signal.
+    // A stream that fetch did not open does not know the signal.
     this.signal.addEventListener("abort", () => void reader.cancel().catch(() => {}), { once: true });
     for (;;) {
       const { done, value } = await reader.read();

@@ -1,4 +1,4 @@
-/** Figures of an evaluation in words. What the words mean is in docs/howto/web-pages.md. */
+/** Figures of an evaluation in words, which docs/howto/web-pages.md explains. */
 
 import { formatNumber } from "../page/format.js";
 import { fillIn, texts } from "../words/words.js";
@@ -18,13 +18,13 @@ type Metric = {
 };
 
 export type Verdict = {
-  /** What was looked at. */
+  /** What was evaluated. */
   readonly about: string;
   readonly figure: string;
   readonly words: string;
 };
 
-/** Names of words from the best down; each holds up to its limit. */
+/** Words from the best down, each with the largest value that it describes. */
 type Scale<Name extends string> = readonly (readonly [number, Name])[];
 
 const worse = Number.POSITIVE_INFINITY;
@@ -57,7 +57,7 @@ type Kind = {
   readonly words: (value: number) => string;
 };
 
-/** Return what is said of the figures of a report, the most important first. */
+/** Return the figures of a report that are put in words, the most important first. */
 function kinds(): ReadonlyMap<string, Kind> {
   const likeness = (about: string, truth: string): Kind => ({
     about,
@@ -81,7 +81,7 @@ function kinds(): ReadonlyMap<string, Kind> {
   ]);
 }
 
-/** Return what a report says of the result, in the order of importance. */
+/** Return a report's verdicts on the result, the most important first. */
 export function verdicts(report: Report): Verdict[] {
   const metrics = new Map((report.metrics ?? []).map((metric) => [metric.name, metric]));
   return [...kinds()].flatMap(([name, kind]) => {

@@ -1,4 +1,4 @@
-/** Sends corrections shortly after the last change; what is overtaken by a later change is ended. */
+/** Sends corrections shortly after the last change; a later change aborts what is under way. */
 
 import type { Applied } from "./backend.js";
 import type { Correction } from "./corrections.js";
@@ -10,6 +10,8 @@ export type ApplyState =
 
 type Apply = (corrections: readonly Correction[], signal: AbortSignal) => Promise<Applied>;
 
+const delayMs = 350;
+
 export class Applier {
   #timer: ReturnType<typeof setTimeout> | undefined;
   #running = new AbortController();
@@ -17,17 +19,15 @@ export class Applier {
   constructor(
     private readonly apply: Apply,
     private readonly tell: (state: ApplyState) => void,
-    private readonly delayMs = 350,
-    private readonly now: () => number = () => performance.now(),
   ) {}
 
-  /** All corrections are these now. */
+  /** Take these as all corrections. */
   change(corrections: readonly Correction[]): void {
     this.stop();
-    this.#timer = setTimeout(() => void this.#run(corrections), this.delayMs);
+    this.#timer = setTimeout(() => void this.#run(corrections), delayMs);
   }
 
-  /** Forget what is being applied. */
+  /** Abort what is under way. */
   stop(): void {
     clearTimeout(this.#timer);
     this.#running.abort();
@@ -36,12 +36,12 @@ export class Applier {
   async #run(corrections: readonly Correction[]): Promise<void> {
     const mine = new AbortController();
     this.#running = mine;
-    const started = this.now();
+    const started = performance.now();
     this.tell({ kind: "applying" });
     try {
       const applied = await this.apply(corrections, mine.signal);
       if (mine.signal.aborted) return;
-      this.tell({ kind: "applied", applied, seconds: (this.now() - started) / 1000 });
+      this.tell({ kind: "applied", applied, seconds: (performance.now() - started) / 1000 });
     } catch (error) {
       if (!mine.signal.aborted) this.tell({ kind: "failed", error });
     }

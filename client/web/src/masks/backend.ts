@@ -1,18 +1,18 @@
-/** What the editor of masks asks of whoever computes them: the command `lambent masks --edit`, or a server. */
+/** The interface between the editor of masks and what computes them: `lambent masks --edit`, or a server. */
 
 import type { CorrectionList, Size } from "./corrections.js";
 
 export type Frame = Size & {
   readonly name: string;
-  /** The other photographs see it differently. */
+  /** The mask disagrees with those of the other photographs. */
   readonly doubtful: boolean;
 };
 
 export type Capture = {
   readonly frames: readonly Frame[];
-  /** Of an earlier sitting. */
+  /** Those of earlier sessions. */
   readonly corrections: CorrectionList;
-  /** Of the views, 0..1. */
+  /** How well the views agree, 0..1. */
   readonly agreement: number;
   /** Why nothing was found; empty where something was. */
   readonly reason: string;
@@ -20,18 +20,18 @@ export type Capture = {
 
 export type Applied = {
   readonly agreement: number;
-  /** Names of the frames that the others see differently. */
+  /** Names of the frames whose masks disagree with the others. */
   readonly doubtful: readonly string[];
-  /** Names of the frames whose mask is another now. */
+  /** Names of the frames whose mask has changed. */
   readonly changed: readonly string[];
 };
 
 export type Finished = {
   /** What happens next, in words. */
   readonly told: string;
-  /** To be typed in a terminal. */
+  /** A command to continue with in a terminal. */
   readonly command?: string;
-  /** Where to go on. */
+  /** The address to continue at. */
   readonly address?: string;
 };
 
@@ -41,7 +41,7 @@ export interface MaskBackend {
   picture(frame: string, side: number): Promise<Blob>;
   /** Return the mask of a frame as it is now: a small grey PNG, white where the object is. */
   mask(frame: string): Promise<Blob>;
-  /** Carry all corrections to all photographs. Corrections that are asked for later may end this one. */
+  /** Apply all corrections to all photographs; a later call may end this one. */
   apply(corrections: CorrectionList, signal: AbortSignal): Promise<Applied>;
   finish(corrections: CorrectionList): Promise<Finished>;
 }

@@ -1,4 +1,4 @@
-/** What a person says about masks: boxes and strokes, the document that the worker reads, and its history. */
+/** Corrections of masks by hand: boxes and strokes, the document that the worker reads, and its history. */
 
 export type Label = "object" | "background";
 /** Pixels of the photograph, x to the right and y down. */
@@ -39,7 +39,7 @@ export function strokeOf(frame: string, label: Label, points: readonly Point[], 
   return { frame, label, stroke: stroke.map(([x, y]) => [round(x), round(y)]), radius: round(radius) };
 }
 
-/** Return the box between two corners, within the photograph, or null where nearly nothing is in it. */
+/** Return the box between two corners, within the photograph, or null if it is nearly empty. */
 export function boxOf(frame: string, label: Label, one: Point, other: Point, size: Size): Box | null {
   const [left, right] = [one[0], other[0]].sort((a, b) => a - b).map((x) => clamp(x, size.width));
   const [top, bottom] = [one[1], other[1]].sort((a, b) => a - b).map((y) => clamp(y, size.height));
@@ -72,7 +72,7 @@ export class History {
   readonly #past: (readonly Correction[])[];
   #now: readonly Correction[];
 
-  /** Corrections of an earlier sitting can be undone one by one. */
+  /** Corrections of earlier sessions can be undone one by one. */
   constructor(corrections: readonly Correction[]) {
     this.#now = corrections;
     this.#past = corrections.map((_, count) => corrections.slice(0, count));
@@ -94,13 +94,13 @@ export class History {
     this.#change([...this.#now, correction]);
   }
 
-  /** Take back all corrections of a frame; undone at once. */
+  /** Remove all corrections of a frame, as one step of the history. */
   clear(frame: string): void {
     const others = this.#now.filter((each) => each.frame !== frame);
     if (others.length < this.#now.length) this.#change(others);
   }
 
-  /** Return the frames that the undone change was about. */
+  /** Undo the last change, and return the frames that it affected. */
   undo(): ReadonlySet<string> {
     const before = this.#past.pop();
     if (before === undefined) return new Set();

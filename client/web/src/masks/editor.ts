@@ -1,4 +1,4 @@
-/** The editor of masks: all photographs, one of them large, and what was marked. */
+/** The editor of masks: all photographs, one of them large, and the marks. */
 
 import { h, section, setText } from "../page/dom.js";
 import { formatNumber, formatPercent } from "../page/format.js";
@@ -14,9 +14,9 @@ export type EditorContext = {
   readonly backend: MaskBackend;
   /** Report a problem. */
   readonly fail: (error: unknown) => void;
-  /** What was reported is over. */
+  /** The last problem is over. */
   readonly recovered?: () => void;
-  /** Of the button that ends the editing. */
+  /** The text of the button that ends the editing. */
   readonly finishLabel: string;
   readonly finished: (finished: Finished) => void;
 };
@@ -25,7 +25,7 @@ export type Editor = { readonly element: HTMLElement; readonly close: () => void
 
 const largeSide = 1600;
 
-/** Return in words what the views make of the masks. */
+/** Return in words how well the views agree on the masks. */
 export function agreementText(agreement: number, reason: string, marked: boolean): string {
   if (reason !== "" && !marked) {
     return fillIn(texts.masks.notFound, { reason });
@@ -33,7 +33,7 @@ export function agreementText(agreement: number, reason: string, marked: boolean
   return fillIn(texts.masks.agree, { share: formatPercent(agreement) });
 }
 
-/** Return in words what came of the last change. */
+/** Return the outcome of the last change in words. */
 export function appliedText(applied: Applied, frames: number, seconds: number): string {
   const changed =
     applied.changed.length === 0
@@ -60,14 +60,14 @@ class MaskEditor implements Editor {
   );
   readonly #status = h("p", { class: "figures", role: "status" });
   readonly #heading = h("h2", { tabindex: -1 });
-  readonly #undo = button(texts.masks.undo, texts.masks.undoKey, () => this.#takeBack());
+  readonly #undo = button(texts.page.undo, texts.masks.undoKey, () => this.#takeBack());
   readonly #clear = button(texts.masks.clear, "", () => this.#clearOpen());
   readonly #large: HTMLElement;
   readonly #over = new AbortController();
   #open: Frame | null = null;
   #doubtful: ReadonlySet<string>;
   #ticking: ReturnType<typeof setInterval> | undefined;
-  /** Only the answer to the last question is shown. */
+  /** Number of requests for the open mask; only the answer to the last one is shown. */
   #masksAsked = 0;
 
   constructor(
@@ -142,7 +142,7 @@ class MaskEditor implements Editor {
           { class: "actions" },
           zoom("◀", texts.masks.before, () => this.#turn(-1)),
           zoom("▶", texts.masks.next, () => this.#turn(1)),
-          button(texts.masks.close, texts.masks.closeKey, () => this.#hide()),
+          button(texts.page.close, texts.masks.closeKey, () => this.#hide()),
         ),
       ),
       this.#controls.element,

@@ -7,7 +7,7 @@ import { drawThumbnail } from "./paint.js";
 import { fillIn, texts } from "../words/words.js";
 
 const thumbnailSide = 240;
-/** So many requests are under way at once. */
+/** Requests that are under way at once. */
 const lines = 6;
 
 /** Return the frames with the doubtful ones first. */
@@ -60,13 +60,13 @@ export class Grid {
         this.backend.mask(name).then((blob) => createImageBitmap(blob)),
         this.#load(name, cell),
       ]);
-      // A later question may have been answered first.
+      // A later request may have been answered first.
       if (cell.asked === mine && cell.picture !== null) drawThumbnail(cell.canvas, cell.picture, mask);
       mask.close();
     });
   }
 
-  /** Let go of the pictures; what was drawn stays. */
+  /** Free the pictures; what was drawn stays. */
   close(): void {
     this.#isClosed = true;
     for (const cell of this.#cells.values()) {

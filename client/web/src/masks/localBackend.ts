@@ -10,7 +10,7 @@ export function keyOf(fragment: string): string | null {
   return new URLSearchParams(fragment.replace(/^#/, "")).get("key") || null;
 }
 
-/** Return the backend behind a key; `send` is `fetch`, or what stands in for it. */
+/** Return the backend behind a key; `send` is `fetch`, or its replacement in tests. */
 export function localBackend(key: string, send: typeof fetch = (...given) => fetch(...given)): MaskBackend {
   const base = `/edit/${encodeURIComponent(key)}`;
 

@@ -12,7 +12,7 @@ export type PadHost = {
   readonly tools: () => Tools;
   readonly choose: (tools: Tools) => void;
   readonly mark: (correction: Correction) => void;
-  /** The visitor pressed Escape while nothing was begun. */
+  /** The visitor pressed Escape while no mark was begun. */
   readonly leave: () => void;
   /** The next photograph (1) or the one before (-1). */
   readonly turn: (step: number) => void;
@@ -65,7 +65,7 @@ export class Pad {
     this.whole();
   }
 
-  /** Let go of the photograph. */
+  /** Free the photograph. */
   clear(): void {
     this.#picture?.close();
     this.#picture = null;
@@ -103,7 +103,7 @@ export class Pad {
     this.#zoom(factor, [width / 2, height / 2]);
   }
 
-  /** Forget the mark that was begun; returns whether there was one. */
+  /** Discard the mark that was begun; returns whether there was one. */
   cancel(): boolean {
     const begun = this.#points !== null;
     this.#points = null;
@@ -185,7 +185,7 @@ export class Pad {
       // The pointer is up again already.
     }
     this.#pointers.set(event.pointerId, at);
-    // A second finger zooms and moves; what the first one has begun was not meant.
+    // A second finger zooms and moves; the first one did not mean to mark.
     if (this.#pointers.size > 1) {
       this.cancel();
       return;

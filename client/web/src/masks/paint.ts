@@ -7,7 +7,7 @@ const outlineRgb = [230, 0, 160] as const;
 const dimmedAlpha = 165;
 const labelColours: Readonly<Record<Label, string>> = { object: "#00c8e6", background: "#ff9d00" };
 
-/** Turn grey levels of a mask, in RGBA, into what is drawn over the photograph: dimmed around, outlined. */
+/** Turn a mask's grey levels, in RGBA, into an overlay for the photograph: the object outlined, the rest dimmed. */
 export function overlay(rgba: Uint8ClampedArray, width: number, height: number): void {
   const inside = new Uint8Array(width * height);
   for (let index = 0; index < inside.length; index++) inside[index] = rgba[4 * index]! >= 128 ? 1 : 0;
@@ -27,7 +27,7 @@ export function overlay(rgba: Uint8ClampedArray, width: number, height: number):
   }
 }
 
-/** Return a mask as what is drawn over a photograph, `width` pixels wide. */
+/** Return a mask as an overlay for a photograph, `width` pixels wide. */
 export function overlayOf(mask: ImageBitmap, width = mask.width): HTMLCanvasElement {
   const canvas = document.createElement("canvas");
   canvas.width = width;
@@ -49,7 +49,7 @@ export function drawThumbnail(canvas: HTMLCanvasElement, picture: ImageBitmap, m
   context.drawImage(overlayOf(mask, picture.width), 0, 0, picture.width, picture.height);
 }
 
-/** Draw a box or a stroke; what is not the object is dashed, so that colours are not needed. */
+/** Draw a box or a stroke; marks of the background are dashed, so that colour is not the only difference. */
 export function drawMark(context: CanvasRenderingContext2D, view: Viewport, mark: Correction): void {
   context.save();
   context.strokeStyle = labelColours[mark.label];
@@ -76,7 +76,7 @@ export function drawMark(context: CanvasRenderingContext2D, view: Viewport, mark
   context.restore();
 }
 
-/** Draw a line in the colour that is set, on white or black so that it is seen on everything. */
+/** Draw a line in the current colour over a black one, so that it is visible on everything. */
 function outline(context: CanvasRenderingContext2D, label: Label, path: () => void): void {
   const colour = context.strokeStyle;
   context.setLineDash([]);

@@ -1,4 +1,4 @@
-/** The editor of masks on a server: jobs of the kind `prepare` compute, and their artifacts are what is shown. */
+/** The editor of masks on a server: jobs of the kind `prepare` compute the masks, their artifacts are shown. */
 
 import { sceneAddress } from "../page/addresses.js";
 import type { Api, Artifact, Job } from "../page/rest.js";
@@ -9,9 +9,9 @@ import { fillIn, named, texts } from "../words/words.js";
 /** `preparation/frames.json` of a job: see `lambent_capture.masks.preview`. */
 export type Preparation = {
   readonly version: number;
-  /** Whether corrections are possible: masks that the capture brings are shown only. */
+  /** Whether corrections are possible, which they are not for masks that came with the capture. */
   readonly editable: boolean;
-  /** Of the views, 0..1. */
+  /** How well the views agree, 0..1. */
   readonly overlap: number;
   readonly doubtful: readonly string[];
   readonly reason: string;
@@ -26,7 +26,7 @@ export type Preparation = {
   }[];
 };
 
-/** A `prepare` job that has succeeded, with what it has published. */
+/** A `prepare` job that has succeeded, with its results. */
 export type Prepared = {
   readonly job: Job;
   readonly preparation: Preparation;
@@ -34,7 +34,7 @@ export type Prepared = {
   readonly artifacts: ReadonlyMap<string, Artifact>;
 };
 
-/** What the backend needs of the REST API. */
+/** The part of the REST API that the backend uses. */
 export type PreparationApi = Pick<
   Api,
   "submit" | "waitForJob" | "artifacts" | "document" | "blob" | "cancel" | "deleteJob" | "jobsOf"
@@ -43,7 +43,7 @@ export type PreparationApi = Pick<
 const folder = "preparation/";
 const version = 1;
 
-/** Settings that decide how a capture is read, and so which estimate corrections belong to. */
+/** Settings of how a capture is read, which corrections depend on. */
 const settingsOfReading = ["layout", "lights", "masks", "known_lights"];
 
 /** Return the text of corrections as a parameter of a job; empty where there are none. */
@@ -57,7 +57,7 @@ export function correctionsOf(job: Job): CorrectionList {
   return text === "" ? { version: 1, corrections: [] } : (JSON.parse(text) as CorrectionList);
 }
 
-/** Return what a job has published; throws where it did not prepare a scene, or for another version. */
+/** Return the results of a job; throws if it did not prepare a scene, or for another version. */
 export async function readPrepared(api: PreparationApi, job: Job): Promise<Prepared> {
   const { items } = await api.artifacts(job.id);
   const artifacts = new Map(items.map((item) => [item.name, item]));
@@ -79,7 +79,7 @@ export async function latestPrepared(api: PreparationApi, sceneId: string): Prom
 /** Corrects the masks of one scene. Each change is a job; only the last one is kept. */
 export class RestMaskBackend implements MaskBackend {
   #shown: Prepared;
-  /** Only what this page has ordered is removed again. */
+  /** Jobs of this page, which alone it deletes. */
   readonly #mine = new Set<string>();
 
   constructor(
@@ -112,7 +112,7 @@ export class RestMaskBackend implements MaskBackend {
     };
   }
 
-  /** Only one size is kept, so that `side` decides nothing. */
+  /** `side` has no effect: the server keeps one size. */
   picture(frame: string, _side: number): Promise<Blob> {
     return this.api.blob(this.#file(frame, "picture").url);
   }
@@ -132,7 +132,7 @@ export class RestMaskBackend implements MaskBackend {
     );
     this.#shown = after;
     if (this.#mine.delete(before.job.id)) {
-      // It is not used again; if it cannot be removed yet, the visitor need not know.
+      // It is not used again; if it cannot be deleted yet, the visitor need not know.
       await this.api.deleteJob(before.job.id).catch(() => {});
     }
     this.#mine.add(job.id);

@@ -1,4 +1,4 @@
-/** The tools of the editor: what is marked, with what, and how wide. */
+/** The tools of the editor: the label, the shape, and the size of the brush. */
 
 import { h } from "../page/dom.js";
 import type { Label } from "./corrections.js";

@@ -1,4 +1,4 @@
-/** Where a photograph lies on the screen: zoom and place. */
+/** The place of a photograph on the screen, and its zoom. */
 
 import type { Point, Size } from "./corrections.js";
 

@@ -4,8 +4,8 @@ import { sha256 } from "@noble/hashes/sha2.js";
 import { bytesToHex } from "@noble/hashes/utils.js";
 
 /**
- * Return the SHA-256 of `data`, lower-case hexadecimal: by the browser where it offers that, which it does not for pages
- * that came over plain HTTP.
+ * Return the SHA-256 of `data`, lower-case hexadecimal: by the browser, which offers no digests to pages over plain
+ * HTTP, or by our own code.
  */
 export async function sha256Hex(data: Uint8Array<ArrayBuffer>): Promise<string> {
   const subtle = globalThis.crypto?.subtle;
@@ -13,8 +13,8 @@ export async function sha256Hex(data: Uint8Array<ArrayBuffer>): Promise<string> 
 }
 
 /**
- * Return `numBytes` of deflated bytes, unpacked by the browser, and the length of what was read: more, where that was
- * found before the end. Null for damaged bytes.
+ * Return `numBytes` of deflated bytes, unpacked by the browser, and how many were read, which is more than `numBytes` if
+ * there are more. Null for damaged bytes.
  */
 export async function inflated(
   packed: Uint8Array<ArrayBuffer>,

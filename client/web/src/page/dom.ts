@@ -32,7 +32,7 @@ export function section(
   return h("section", attributes, h("h2", {}, title), ...children);
 }
 
-/** Give a list these children, in this order; those that stay are not moved, so that they keep the focus. */
+/** Give a list these children, in this order; those that stay in place are not touched and keep the focus. */
 export function arrange(list: Element, children: readonly Element[]): void {
   for (const each of [...list.children]) if (!children.includes(each)) each.remove();
   children.forEach((each, place) => {
@@ -40,12 +40,12 @@ export function arrange(list: Element, children: readonly Element[]): void {
   });
 }
 
-/** Change the text of an element only where it differs, so that readers hear what is new and nothing twice. */
+/** Set the text of an element if it differs, so that screen readers announce nothing twice. */
 export function setText(element: Element, text: string): void {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Replace the children of an element unless the new ones stand for the same. */
+/** Replace the children of an element unless it has those of this key already. */
 export function replaceKeyed(element: HTMLElement, key: string, make: () => readonly Child[]): void {
   if (element.dataset.key === key) return;
   element.dataset.key = key;

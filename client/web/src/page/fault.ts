@@ -12,12 +12,12 @@ export class Fault extends Error {
   }
 }
 
-/** Return what an error says. */
+/** Return the message of an error. */
 export function messageOf(error: unknown): string {
   return error instanceof Error ? error.message : String(error);
 }
 
-/** Return a reader's error as code and message; codes of others than faults begin with `area`. */
+/** Return a reader's error as code and message; codes of errors that are not faults begin with `area`. */
 export function toldOf(error: unknown, area: string, outOfMemory: string) {
   if (error instanceof Fault) return { code: error.code, message: error.message };
   // Arrays that do not fit are range errors.

@@ -1,4 +1,4 @@
-/** Deleting with a way back: for some seconds what was deleted is only hidden, and the server deletes it after that. */
+/** Deletion that can be undone: what was deleted is only hidden for some seconds, then the server deletes it. */
 
 import { explain } from "./actions.js";
 import { h } from "./dom.js";
@@ -10,7 +10,7 @@ export const undoMs = 10_000;
 /** Something to delete; `send` tells the server, with `keepalive` so that it arrives after the page has gone. */
 export type Removal = {
   readonly id: string;
-  /** What it is, as a sentence begins: 'The scene "Cup"'. */
+  /** Its name as the subject of a sentence: 'The scene "Cup"'. */
   readonly what: string;
   readonly send: (keepalive: boolean) => Promise<unknown>;
   /** Called when it is gone for good. */
@@ -19,10 +19,10 @@ export type Removal = {
 
 type Waiting = { readonly removal: Removal; readonly timer: ReturnType<typeof setTimeout> };
 
-/** What is waiting to be deleted. */
+/** Everything that is waiting to be deleted. */
 export class Removals {
   readonly #waiting = new Map<string, Waiting>();
-  /** Sent, and not answered yet, or gone: lists that were asked for earlier may still have them. */
+  /** Deleted, or about to be: lists that were requested earlier may still contain them. */
   readonly #sent = new Set<string>();
   readonly #listeners = new Set<() => void>();
 
@@ -32,7 +32,7 @@ export class Removals {
     private readonly delayMs = undoMs,
   ) {}
 
-  /** Call `listener` when something is hidden, comes back, or is gone; returns the function that ends it. */
+  /** Call `listener` when something is hidden, restored or deleted; returns the function that ends it. */
   listen(listener: () => void): () => void {
     this.#listeners.add(listener);
     return () => this.#listeners.delete(listener);
@@ -43,7 +43,7 @@ export class Removals {
     return this.#waiting.has(id) || this.#sent.has(id);
   }
 
-  /** What can still come back, the latest last. */
+  /** What can still be restored, the latest last. */
   get waiting(): readonly Removal[] {
     return [...this.#waiting.values()].map(({ removal }) => removal);
   }
@@ -56,7 +56,7 @@ export class Removals {
     this.#tell();
   }
 
-  /** Bring something back that is waiting. */
+  /** Restore something that is waiting. */
   undo(id: string): void {
     clearTimeout(this.#waiting.get(id)?.timer);
     if (this.#waiting.delete(id)) this.#tell();
@@ -95,7 +95,7 @@ export class Removals {
   }
 }
 
-/** Return the notices with a button that brings the latest back each. */
+/** Return the notices, each with a button that undoes its deletion. */
 export function removalNotices(removals: Removals): HTMLElement {
   const element = h("div", { class: "notices", role: "status" });
   const shown = new Map<string, HTMLElement>();
@@ -106,7 +106,7 @@ export function removalNotices(removals: Removals): HTMLElement {
       const had = notice.contains(document.activeElement);
       notice.remove();
       shown.delete(id);
-      // The focus was on what is gone; it continues at the top of the view.
+      // The focus was on the notice; it continues at the top of the view.
       if (had) document.querySelector<HTMLElement>("#main h1")?.focus();
     }
     for (const { id, what } of removals.waiting) {
@@ -120,7 +120,7 @@ export function removalNotices(removals: Removals): HTMLElement {
       const notice = h("p", { class: "notice toast" }, fillIn(texts.page.deleted, { what }), " ", undo);
       shown.set(id, notice);
       element.append(notice);
-      // The button that was pressed is gone, and the next thing wanted may be the way back.
+      // The button that was pressed is gone, and undoing may be wanted next.
       undo.focus();
     }
   });

@@ -20,7 +20,7 @@ export type Share = Schemas["Share"];
 export type PlannedFile = Schemas["PlannedFile"];
 export type FileUpload = Schemas["FileUpload"];
 
-/** Everything that was refused: the server's problem document (RFC 9457). */
+/** A request that the server refused, with its problem document (RFC 9457). */
 export class Refused extends Error {
   override readonly name = "Refused";
 
@@ -47,7 +47,7 @@ export async function requireOk(response: Response): Promise<Response> {
   try {
     problem = await response.json();
   } catch {
-    // Something between us and the server answered.
+    // A proxy answered instead of the server.
   }
   throw new Refused(
     response.status,
@@ -64,8 +64,6 @@ export function newKey(): string {
   const parts = crypto.getRandomValues(new Uint32Array(4));
   return `page-${Array.from(parts, (part) => part.toString(16)).join("")}`;
 }
-
-/** Waiting for a server. */
 
 /** Run `work` for all items, `count` at a time. */
 export async function inLines<T>(
@@ -98,137 +96,161 @@ export function pause(milliseconds: number, signal: AbortSignal): Promise<void> 
 
 export type Api = ReturnType<typeof createApi>;
 
-/** Return the operations of the server at this address; `send` is `fetch`, or what stands in for it. */
-export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
-  async function request(method: string, path: string, init: RequestInit = {}): Promise<Response> {
-    let response: Response;
+/** Sends requests to the server of this page by `send`, and throws what it refuses. */
+class Sender {
+  constructor(private readonly send: typeof fetch) {}
+
+  /** Send a request, and return its answer, whatever its status. */
+  async attempt(path: string, init: RequestInit): Promise<Response> {
     try {
-      response = await send(path, { ...init, method, headers: { "x-lambent-csrf": "1", ...init.headers } });
+      return await this.send(path, init);
     } catch (error) {
       if (init.signal?.aborted) throw error;
       throw new Unreachable(texts.page.noServerShort);
     }
-    return requireOk(response);
   }
 
-  async function answer<T>(method: string, path: string, init: RequestInit = {}): Promise<T> {
-    const response = await request(method, path, init);
+  async request(method: string, path: string, init: RequestInit = {}): Promise<Response> {
+    const headers = { "x-lambent-csrf": "1", ...init.headers };
+    return requireOk(await this.attempt(path, { ...init, method, headers }));
+  }
+
+  async answer<T>(method: string, path: string, init: RequestInit = {}): Promise<T> {
+    const response = await this.request(method, path, init);
     return response.status === 204 ? (null as T) : ((await response.json()) as T);
   }
 
-  const json = <T>(method: string, path: string, body?: unknown, headers = {}): Promise<T> =>
-    answer<T>(
-      method,
-      path,
-      body === undefined
-        ? { headers }
-        : { body: JSON.stringify(body), headers: { "content-type": "application/json", ...headers } },
-    );
+  get<T>(path: string, headers = {}): Promise<T> {
+    return this.answer<T>("GET", path, { headers });
+  }
 
-  const remove = (path: string, keepalive: boolean) => answer<null>("DELETE", path, { keepalive });
+  /** Return a page of a list. */
+  list<T>(path: string, cursor: string | null, given = new URLSearchParams()): Promise<T> {
+    const parameters = new URLSearchParams([["limit", "50"], ...given]);
+    if (cursor !== null) parameters.set("cursor", cursor);
+    return this.get<T>(`${path}?${parameters}`);
+  }
 
-  const list = (path: string, limit: number, cursor: string | null) =>
-    `${path}?limit=${limit}${cursor === null ? "" : `&cursor=${encodeURIComponent(cursor)}`}`;
+  post<T>(path: string, body?: unknown, headers = {}): Promise<T> {
+    if (body === undefined) return this.answer<T>("POST", path, { headers });
+    const typed = { "content-type": "application/json", ...headers };
+    return this.answer<T>("POST", path, { body: JSON.stringify(body), headers: typed });
+  }
 
+  /** Delete something; with `keepalive` the request outlives the page. */
+  remove(path: string, keepalive = false): Promise<null> {
+    return this.answer<null>("DELETE", path, { keepalive });
+  }
+}
+
+const binary = { "content-type": "application/octet-stream" };
+
+/** Return the operations of the server of this page; `send` is `fetch`, or its replacement in tests. */
+export function createApi(send: typeof fetch = (...given) => fetch(...given)) {
+  const sender = new Sender(send);
+  return { ...visitorApi(sender), ...sceneApi(sender), ...jobApi(sender), ...bundleApi(sender) };
+}
+
+function visitorApi(sender: Sender) {
   return {
-    logIn: (code: string) => json<null>("POST", "/v1/login", { code }),
-    version: () => json<Schemas["Version"]>("GET", "/v1/version"),
-    me: () => json<Me>("GET", "/v1/me"),
-    switchTo: (organisation: string) => json<Me>("POST", "/v1/me:switch", { organisation }),
-    logOut: () => json<null>("POST", "/v1/logout"),
-    scenes: (cursor: string | null = null) =>
-      json<Schemas["SceneList"]>("GET", list("/v1/scenes", 50, cursor)),
-    scene: (id: string) => json<Scene>("GET", `/v1/scenes/${id}`),
+    logIn: (code: string) => sender.post<null>("/v1/login", { code }),
+    logOut: () => sender.post<null>("/v1/logout"),
+    version: () => sender.get<Schemas["Version"]>("/v1/version"),
+    me: () => sender.get<Me>("/v1/me"),
+    switchTo: (organisation: string) => sender.post<Me>("/v1/me:switch", { organisation }),
+    limits: () => sender.get<Schemas["Limits"]>("/v1/limits"),
+    notices: () => sender.get<Schemas["Notices"]>("/v1/notices"),
+  };
+}
+
+function sceneApi(sender: Sender) {
+  return {
+    scenes: (cursor: string | null = null) => sender.list<Schemas["SceneList"]>("/v1/scenes", cursor),
+    scene: (id: string) => sender.get<Scene>(`/v1/scenes/${id}`),
     report: (id: string) =>
-      json<SceneReport>("GET", `/v1/scenes/${id}/report?format=json`, undefined, {
-        accept: "application/json",
-      }),
-    createScene: (name: string) => json<Scene>("POST", "/v1/scenes", { name }),
+      sender.get<SceneReport>(`/v1/scenes/${id}/report?format=json`, { accept: "application/json" }),
+    createScene: (name: string) => sender.post<Scene>("/v1/scenes", { name }),
     planFiles: (id: string, files: readonly PlannedFile[]) =>
-      json<Schemas["Plan"]>("POST", `/v1/scenes/${id}/files:plan`, files),
+      sender.post<Schemas["Plan"]>(`/v1/scenes/${id}/files:plan`, files),
     putFile: (id: string, sha256: string, body: Blob, signal: AbortSignal) =>
-      request("PUT", `/v1/scenes/${id}/files/${sha256}`, {
-        body,
-        signal,
-        headers: { "content-type": "application/octet-stream" },
-      }),
+      sender.request("PUT", `/v1/scenes/${id}/files/${sha256}`, { body, signal, headers: binary }),
     /** Addresses of the store for planned files. */
     offerUploads: (id: string, sha256: readonly string[]) =>
-      json<Schemas["UploadList"]>("POST", `/v1/scenes/${id}/files:uploads`, { sha256 }),
+      sender.post<Schemas["UploadList"]>(`/v1/scenes/${id}/files:uploads`, { sha256 }),
     /** Let the server take over files that were sent there. */
     completeUploads: (id: string, sha256: readonly string[]) =>
-      json<Schemas["TakenFiles"]>("POST", `/v1/scenes/${id}/files:complete`, { sha256 }),
+      sender.post<Schemas["TakenFiles"]>(`/v1/scenes/${id}/files:complete`, { sha256 }),
     /** Send a file, or a part of one, to an address of the store, and return the status of its answer. */
     putToStore: async (
       url: string,
       headers: Readonly<Record<string, string>>,
       body: Blob,
       signal: AbortSignal,
-    ) => {
-      try {
-        // Nothing of this site goes there: the address is all it needs.
-        return (await send(url, { method: "PUT", body, headers, signal, credentials: "omit" })).status;
-      } catch (error) {
-        if (signal.aborted) throw error;
-        throw new Unreachable(texts.page.noServerShort);
-      }
-    },
+    ) =>
+      // Nothing of this site goes there: the address is all it needs.
+      (await sender.attempt(url, { method: "PUT", body, headers, signal, credentials: "omit" })).status,
     putArchive: (id: string, body: Blob, mediaType: string, signal: AbortSignal) => {
       const headers = { "content-type": mediaType };
-      return answer<Scene>("PUT", `/v1/scenes/${id}/archive`, { body, signal, headers });
+      return sender.answer<Scene>("PUT", `/v1/scenes/${id}/archive`, { body, signal, headers });
     },
-    commit: (id: string) => json<Scene>("POST", `/v1/scenes/${id}:commit`),
-    /** With `keepalive` the request outlives the page. */
-    deleteScene: (id: string, keepalive = false) => remove(`/v1/scenes/${id}`, keepalive),
-    deleteBundle: (id: string, keepalive = false) => remove(`/v1/bundles/${id}`, keepalive),
-    presets: () => json<Schemas["PresetList"]>("GET", "/v1/presets"),
-    limits: () => json<Schemas["Limits"]>("GET", "/v1/limits"),
-    notices: () => json<Schemas["Notices"]>("GET", "/v1/notices"),
-    estimate: (preset: string) => json<Estimate>("POST", "/v1/estimates", { preset }),
-    /** `given` narrows the list, as the parameters of the server do. */
-    jobs: (cursor: string | null = null, given = new URLSearchParams()) =>
-      json<Schemas["JobList"]>("GET", `${list("/v1/jobs", 50, cursor)}${given.size > 0 ? `&${given}` : ""}`),
-    job: (id: string) => json<Job>("GET", `/v1/jobs/${id}`),
-    /** Jobs of a scene, the newest first. */
-    jobsOf: (sceneId: string, kind: Job["kind"], state: Job["state"], limit: number) =>
-      json<Schemas["JobList"]>("GET", `/v1/jobs?scene=${sceneId}&kind=${kind}&state=${state}&limit=${limit}`),
-    /** The job once it has ended, or as it is after half a minute. */
-    waitForJob: (id: string, signal: AbortSignal) => answer<Job>("GET", `/v1/jobs/${id}?wait=30`, { signal }),
-    deleteJob: (id: string, keepalive = false) => remove(`/v1/jobs/${id}`, keepalive),
-    /** The same `key` never makes a second job. */
-    submit: (order: Partial<Schemas["NewJob"]> & { scene_id: string }, key: string) =>
-      json<Job>("POST", "/v1/jobs", order, { "idempotency-key": key }),
-    cancel: (id: string) => json<Job>("POST", `/v1/jobs/${id}:cancel`),
-    retry: (id: string) => json<Job>("POST", `/v1/jobs/${id}:retry`),
-    events: (id: string, after: number) =>
-      json<Schemas["EventList"]>("GET", `/v1/jobs/${id}/events?after=${after}&limit=1000`),
-    log: async (id: string) => (await request("GET", `/v1/jobs/${id}/log?tail_bytes=65536`)).text(),
-    artifacts: (id: string) => json<Schemas["ArtifactList"]>("GET", `/v1/jobs/${id}/artifacts`),
-    bundles: (cursor: string | null = null) =>
-      json<Schemas["BundleList"]>("GET", list("/v1/bundles", 50, cursor)),
-    bundle: (id: string) => json<BundleDetail>("GET", `/v1/bundles/${id}`),
+    commit: (id: string) => sender.post<Scene>(`/v1/scenes/${id}:commit`),
+    deleteScene: (id: string, keepalive = false) => sender.remove(`/v1/scenes/${id}`, keepalive),
     /** Upload a map, .hdr or .exr. */
     createEnvironment: (name: string, body: Blob) => {
-      const headers = { "content-type": "application/octet-stream" };
       const path = `/v1/environments?name=${encodeURIComponent(name)}`;
-      return answer<Schemas["Environment"]>("POST", path, { body, headers });
+      return sender.answer<Schemas["Environment"]>("POST", path, { body, headers: binary });
     },
-    shares: (id: string) => json<Schemas["ShareList"]>("GET", `/v1/bundles/${id}/shares`),
-    createShare: (id: string, expiresInS: number, frameAncestors: readonly string[] = []) =>
-      json<Share>("POST", `/v1/bundles/${id}/shares`, {
-        expires_in_s: expiresInS,
-        ...(frameAncestors.length > 0 ? { frame_ancestors: frameAncestors } : {}),
-      }),
-    revokeShare: (id: string) => json<null>("DELETE", `/v1/shares/${id}`),
+  };
+}
+
+function jobApi(sender: Sender) {
+  return {
+    presets: () => sender.get<Schemas["PresetList"]>("/v1/presets"),
+    estimate: (preset: string) => sender.post<Estimate>("/v1/estimates", { preset }),
+    /** `given` narrows the list, as the parameters of the server do. */
+    jobs: (cursor: string | null = null, given = new URLSearchParams()) =>
+      sender.list<Schemas["JobList"]>("/v1/jobs", cursor, given),
+    job: (id: string) => sender.get<Job>(`/v1/jobs/${id}`),
+    /** Jobs of a scene, the newest first. */
+    jobsOf: (sceneId: string, kind: Job["kind"], state: Job["state"], limit: number) =>
+      sender.get<Schemas["JobList"]>(`/v1/jobs?scene=${sceneId}&kind=${kind}&state=${state}&limit=${limit}`),
+    /** The job once it has ended, or as it is after half a minute. */
+    waitForJob: (id: string, signal: AbortSignal) =>
+      sender.answer<Job>("GET", `/v1/jobs/${id}?wait=30`, { signal }),
+    deleteJob: (id: string, keepalive = false) => sender.remove(`/v1/jobs/${id}`, keepalive),
+    /** The same `key` never makes a second job. */
+    submit: (order: Partial<Schemas["NewJob"]> & { scene_id: string }, key: string) =>
+      sender.post<Job>("/v1/jobs", order, { "idempotency-key": key }),
+    cancel: (id: string) => sender.post<Job>(`/v1/jobs/${id}:cancel`),
+    retry: (id: string) => sender.post<Job>(`/v1/jobs/${id}:retry`),
+    events: (id: string, after: number) =>
+      sender.get<Schemas["EventList"]>(`/v1/jobs/${id}/events?after=${after}&limit=1000`),
+    log: async (id: string) => (await sender.request("GET", `/v1/jobs/${id}/log?tail_bytes=65536`)).text(),
+    artifacts: (id: string) => sender.get<Schemas["ArtifactList"]>(`/v1/jobs/${id}/artifacts`),
     /** A JSON file among a job's artifacts. */
-    document: <T>(url: string) => answer<T>("GET", url),
+    document: <T>(url: string) => sender.get<T>(url),
     /** The bytes of an artifact. */
-    blob: async (url: string) => (await request("GET", url)).blob(),
+    blob: async (url: string) => (await sender.request("GET", url)).blob(),
     /** The answer whose body is the stream of events. */
     stream: (lastEventId: string, signal: AbortSignal) =>
-      request("GET", "/v1/events", {
+      sender.request("GET", "/v1/events", {
         signal,
         headers: lastEventId === "" ? {} : { "last-event-id": lastEventId },
       }),
+  };
+}
+
+function bundleApi(sender: Sender) {
+  return {
+    bundles: (cursor: string | null = null) => sender.list<Schemas["BundleList"]>("/v1/bundles", cursor),
+    bundle: (id: string) => sender.get<BundleDetail>(`/v1/bundles/${id}`),
+    deleteBundle: (id: string, keepalive = false) => sender.remove(`/v1/bundles/${id}`, keepalive),
+    shares: (id: string) => sender.get<Schemas["ShareList"]>(`/v1/bundles/${id}/shares`),
+    createShare: (id: string, expiresInS: number, frameAncestors: readonly string[] = []) =>
+      sender.post<Share>(`/v1/bundles/${id}/shares`, {
+        expires_in_s: expiresInS,
+        ...(frameAncestors.length > 0 ? { frame_ancestors: frameAncestors } : {}),
+      }),
+    revokeShare: (id: string) => sender.remove(`/v1/shares/${id}`),
   };
 }

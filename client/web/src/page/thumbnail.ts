@@ -6,7 +6,7 @@ const svgSpace = "http://www.w3.org/2000/svg";
 
 /** Return a picture that can change; without an address, or where it cannot be loaded, a ball is drawn. */
 export function thumbnail(): { element: HTMLElement; show: (url: string | null) => void } {
-  // The name of what it shows stands beside it, so readers need not hear it twice.
+  // Its name is next to it; screen readers need not announce it twice.
   const image = h("img", { alt: "", decoding: "async", loading: "lazy", hidden: true });
   const drawn = ball();
   const element = h("span", { class: "thumbnail" }, image, drawn as unknown as HTMLElement);

@@ -1,17 +1,17 @@
-/** Workers: starting them, also for pages of other origins than our scripts, and numbered questions to them. */
+/** Workers: started on pages of any origin, and asked numbered questions. */
 
 import { locale, texts } from "../words/words.js";
 
 const begun = new Map<string, string>();
 
 /**
- * Start the module at `address` as a worker. Browsers refuse workers whose script is of another origin than the page;
- * there a script of the page's own, a blob, imports it, which needs `worker-src` with `blob:` and our origin in a strict policy of that page.
+ * Start the module at `address` as a worker. Browsers refuse workers whose script has another origin than the page;
+ * there a blob of the page imports it, which needs `blob:` and our origin under `worker-src` in a strict policy.
  */
 export function startWorker(address: string): Worker {
   return new Worker(workerScript(new URL(address, location.href), location.origin), {
     type: "module",
-    // What it says is in the language of the page.
+    // Its messages are in the language of the page.
     name: locale,
   });
 }
@@ -63,7 +63,7 @@ export class Questions<Question extends { readonly id: number }, Answer extends 
     });
   }
 
-  /** End the worker; what is not answered yet is rejected with an AbortError, and so is what is asked later. */
+  /** End the worker; open questions and later ones are rejected with an AbortError. */
   close(): void {
     this.worker.terminate();
     const fault = new DOMException("the page's part that answers was closed", "AbortError");

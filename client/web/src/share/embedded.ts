@@ -26,7 +26,7 @@ if ("message" in shown) {
   if (document.querySelector("meta[property='og:image']") !== null) {
     element.setAttribute("poster", shown.poster);
   }
-  // In a frame there is seldom room for controls, and the wheel is the page's.
+  // A frame seldom has room for controls, and the wheel belongs to the page around it.
   element.toggleAttribute("controls", shown.controls ?? !framed);
   element.toggleAttribute("fullpage", !framed);
   element.toggleAttribute("light-turn", true);

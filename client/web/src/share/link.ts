@@ -13,8 +13,8 @@ export type SharedView = {
 };
 
 /**
- * Return what to show, or what to tell the visitor: the fragment of the page's address is the secret and, after "&", the
- * view. `bundleId` comes with the page; it is empty after the end of the link.
+ * Return what to show, or a message to the visitor. The fragment of the page's address is the secret and, after "&",
+ * the view. `bundleId` comes with the page; it is empty once the link has ended.
  */
 export function sharedView(
   { pathname, hash, origin }: Pick<Location, "pathname" | "hash" | "origin">,

@@ -12,7 +12,7 @@ import { fillIn, texts } from "../words/words.js";
 export type ShareContext = {
   readonly api: Pick<Api, "shares" | "createShare" | "revokeShare">;
   readonly fail: (error: unknown) => void;
-  /** Parameters of the view that a link opens with; none where it is left out. */
+  /** Parameters of the view that a link opens with. */
   readonly view?: () => string;
 };
 
@@ -23,7 +23,6 @@ type Lifetime = keyof typeof lifetimes;
 /** Return the panel that creates and revokes links. */
 export function sharePanel(context: ShareContext, bundleId: string): HTMLElement {
   const { api, fail } = context;
-  const linkOf = (share: Share): string => linkWithView(share.url, context.view?.() ?? "");
   const lifetime = h(
     "select",
     { id: "lifetime" },
@@ -39,57 +38,20 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
   });
   const list = h("ul", { class: "shares", "aria-label": texts.share.links });
   const news = h("p", { class: "faint", role: "status" });
+  const tell = (text: string): void => {
+    news.textContent = text;
+  };
 
   async function load(): Promise<void> {
     const { items } = await api.shares(bundleId);
-    list.replaceChildren(...items.map(line));
+    list.replaceChildren(...items.map((share) => line(context, share, tell, load)));
   }
   load().catch(fail);
-
-  function line(share: Share): HTMLLIElement {
-    const ends = formatTime(share.expires_at);
-    const address = h("input", {
-      readonly: true,
-      value: linkOf(share),
-      "aria-label": fillIn(texts.share.linkUntil, { time: ends }),
-    });
-    address.addEventListener("focus", () => address.select());
-    const copy = button(texts.share.copy, context, async () => {
-      address.value = linkOf(share);
-      address.select();
-      // Pages that came over plain HTTP have no clipboard; the selection is then what can be offered.
-      if (navigator.clipboard === undefined) throw new Error(texts.share.copyByKey);
-      await navigator.clipboard.writeText(address.value);
-      news.textContent = texts.share.copied;
-    });
-    const put = (text: string) => async (): Promise<void> => {
-      if (!(await copied(text))) throw new Error(fillIn(texts.share.copyHere, { text }));
-      news.textContent = texts.share.htmlCopied;
-    };
-    const view = (): string => context.view?.() ?? "";
-    const origins = share.frame_ancestors ?? [];
-    const embedding =
-      origins.length === 0
-        ? []
-        : [
-            h("span", { class: "faint" }, fillIn(texts.share.sites, { sites: origins.join(", ") })),
-            button(texts.share.copyFrame, context, () => put(frameSnippet(share, view()))()),
-            button(texts.share.copyElement, context, () => put(elementSnippet(share, view()))()),
-          ];
-    const revoke = button(texts.share.revoke, context, async () => {
-      await api.revokeShare(share.id);
-      news.textContent = texts.share.revoked;
-      await load();
-    });
-    revoke.setAttribute("aria-label", fillIn(texts.share.revokeUntil, { time: ends }));
-    const expires = h("span", { class: "faint" }, fillIn(texts.share.expires, { time: ends }));
-    return h("li", {}, address, expires, copy, revoke, ...embedding);
-  }
 
   const make = button(texts.share.create, context, async () => {
     const share = await api.createShare(bundleId, Number(lifetime.value), originsIn(sites.value));
     await load();
-    news.textContent = (await copied(linkOf(share))) ? texts.share.createdAndCopied : texts.share.created;
+    tell((await copied(linkOf(context, share))) ? texts.share.createdAndCopied : texts.share.created);
   });
   return h(
     "div",
@@ -107,6 +69,57 @@ export function sharePanel(context: ShareContext, bundleId: string): HTMLElement
     news,
     list,
   );
+}
+
+function linkOf({ view }: ShareContext, share: Share): string {
+  return linkWithView(share.url, view?.() ?? "");
+}
+
+/** Return a link of the list; `load` reads the list again. */
+function line(
+  context: ShareContext,
+  share: Share,
+  tell: (text: string) => void,
+  load: () => Promise<void>,
+): HTMLLIElement {
+  const ends = formatTime(share.expires_at);
+  const address = h("input", {
+    readonly: true,
+    value: linkOf(context, share),
+    "aria-label": fillIn(texts.share.linkUntil, { time: ends }),
+    onfocus: () => address.select(),
+  });
+  const copy = button(texts.share.copy, context, async () => {
+    address.value = linkOf(context, share);
+    address.select();
+    // Pages that came over plain HTTP have no clipboard; the selection is then what can be offered.
+    if (navigator.clipboard === undefined) throw new Error(texts.share.copyByKey);
+    await navigator.clipboard.writeText(address.value);
+    tell(texts.link.copied);
+  });
+  const html = (label: string, snippet: (share: Share, view: string) => string) =>
+    button(label, context, async () => {
+      const text = snippet(share, context.view?.() ?? "");
+      if (!(await copied(text))) throw new Error(fillIn(texts.share.copyHere, { text }));
+      tell(texts.share.htmlCopied);
+    });
+  const origins = share.frame_ancestors ?? [];
+  const embedding =
+    origins.length === 0
+      ? []
+      : [
+          h("span", { class: "faint" }, fillIn(texts.share.sites, { sites: origins.join(", ") })),
+          html(texts.share.copyFrame, frameSnippet),
+          html(texts.share.copyElement, elementSnippet),
+        ];
+  const revoke = button(texts.share.revoke, context, async () => {
+    await context.api.revokeShare(share.id);
+    tell(texts.share.revoked);
+    await load();
+  });
+  revoke.setAttribute("aria-label", fillIn(texts.share.revokeUntil, { time: ends }));
+  const expires = h("span", { class: "faint" }, fillIn(texts.share.expires, { time: ends }));
+  return h("li", {}, address, expires, copy, revoke, ...embedding);
 }
 
 /** Put a text on the clipboard; returns whether the browser lets us. */

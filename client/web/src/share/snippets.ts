@@ -1,4 +1,4 @@
-/** The HTML that shows a shared object in another page. */
+/** HTML that shows a shared object on another page. */
 
 import { linkWithView } from "../page/addresses.js";
 import type { Share } from "../page/rest.js";

@@ -81,7 +81,7 @@ async function zipped(file: File): Promise<Candidate> {
   return { kind: "files", name: plainName(file.name), files: sorted(files) };
 }
 
-/** Take away the folder that everything lies in, where there is one. */
+/** Remove the folder that contains everything, if there is one. */
 function withoutTopFolder<T>(entries: readonly (readonly [string, T])[]): {
   name: string;
   inside: (readonly [string, T])[];
@@ -93,7 +93,7 @@ function withoutTopFolder<T>(entries: readonly (readonly [string, T])[]): {
 
 function plainName(name: string): string {
   const whole = name.replace(/\.(zip|tar|tgz|tar\.gz)$/i, "");
-  // biome-ignore lint/suspicious/noControlCharactersInRegex: they are what the server refuses in a name
+  // biome-ignore lint/suspicious/noControlCharactersInRegex: the server refuses them in a name
   return whole.replace(/[\u0000-\u001f\u007f]/g, "").slice(0, maxName) || texts.upload.scene;
 }
 

@@ -15,8 +15,8 @@ const mostTries = 5;
 /**
  * Return what sends the files of a scene; `offers` are the addresses that came with its plan.
  *
- * Throws Unreachable when the server or its store is away for now. A store that was never reached, as one that does
- * not let pages of this site send to it, is given up: the server takes all files then.
+ * Throws Unreachable when the server or its store does not answer for now. A store that was never reached, perhaps
+ * because it does not accept requests from pages of this site, is given up: the server then takes all files.
  */
 export function directSender(id: string, offers: readonly FileUpload[], tools: DirectTools): DirectSend {
   const { api, signal } = tools;
@@ -39,7 +39,7 @@ export function directSender(id: string, offers: readonly FileUpload[], tools: D
     return status;
   }
 
-  /** Send what an offer asks for; "expired" where its addresses do not work any more. */
+  /** Send the parts of an offer; "expired" if its addresses do not work any more. */
   async function sendParts(offer: FileUpload, body: Blob): Promise<"sent" | "expired" | "none"> {
     for (const part of offer.parts) {
       const status = await put(part, body);

@@ -37,10 +37,10 @@ const parallel = 3;
 const longestPauseMs = 15_000;
 
 /**
- * Send a candidate as a new scene, or as the scene `sceneId` whose upload was broken off, and return it.
+ * Send a candidate as a new scene, or continue the upload of the scene `sceneId`; return the scene.
  *
- * A server that is away is waited for. What it has is not sent again, so broken uploads are continued by repeating
- * them. Throws Refused where the server declines, and the signal's reason when it is aborted.
+ * Waits for a server that does not answer. Files that it has are not sent again, so an interrupted upload is
+ * continued by repeating it. Throws Refused where the server declines, and the signal's reason when it is aborted.
  */
 export async function upload(
   candidate: Candidate,
@@ -109,7 +109,7 @@ async function hashAll(
   return { planned, bySha256 };
 }
 
-/** Return a function that repeats what failed for want of a server, with growing pauses, until `signal`. */
+/** Return a function that repeats an action while the server does not answer, with growing pauses, until `signal`. */
 function patience(
   { signal, wait = pause }: UploadTools,
   onWait: () => void = () => {},

@@ -9,7 +9,7 @@ import { type Hash, type UploadStep, upload } from "./upload.js";
 /** One upload and how far it is. */
 export type Running = {
   readonly name: string;
-  /** The scene it continues; null: a new one. */
+  /** The scene whose upload it continues; null: a new one. */
   readonly sceneId: string | null;
   readonly step: UploadStep;
   readonly done: Promise<Scene>;
@@ -32,7 +32,7 @@ function startHashing(): { hash: Hash; close: () => void } {
 }
 
 /** Return the uploads of a tab. */
-export function createUploads(api: Api, start: typeof startHashing = startHashing) {
+export function createUploads(api: Api) {
   const listeners = new Set<() => void>();
   const running = new Map<number, Running>();
   let number = 0;
@@ -41,7 +41,7 @@ export function createUploads(api: Api, start: typeof startHashing = startHashin
   };
 
   // Leaving the page ends them: the browser asks first.
-  globalThis.addEventListener?.("beforeunload", (event) => {
+  addEventListener("beforeunload", (event) => {
     if (running.size > 0) event.preventDefault();
   });
 
@@ -51,12 +51,12 @@ export function createUploads(api: Api, start: typeof startHashing = startHashin
       return () => listeners.delete(listener);
     },
     all: (): Running[] => [...running.values()],
-    /** Start to send a candidate as a new scene, or as the one whose upload was broken off. */
+    /** Start to send a candidate as a new scene, or continue the upload of one. */
     begin: (candidate: Candidate, sceneId: string | null): Running => {
       number += 1;
       const mine = number;
       const controller = new AbortController();
-      const { hash, close } = start();
+      const { hash, close } = startHashing();
       const onStep = (step: UploadStep) => {
         const before = running.get(mine);
         if (before !== undefined) running.set(mine, { ...before, step });

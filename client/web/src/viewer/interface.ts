@@ -41,7 +41,7 @@ export class Interface {
   readonly #stop = new AbortController();
   readonly #dock = make("div", { className: "dock" });
   readonly #controls: Controls | null = null;
-  #filming: ReturnType<typeof import("../film/dialog.js").filmDialog> | null = null;
+  #filming: import("../film/dialog.js").FilmDialog | null = null;
   #reading: Promise<void> | null = null;
   #quietAt = 0;
 
@@ -273,13 +273,13 @@ export class Interface {
   /** Open the dialog that makes films. */
   async #film(root: ShadowRoot): Promise<void> {
     try {
-      const [{ filmDialog }, { dialogSheet }] = await Promise.all([
+      const [{ FilmDialog }, { dialogSheet }] = await Promise.all([
         import("../film/dialog.js"),
         import("./dialogs.js"),
       ]);
       if (this.#stop.signal.aborted || this.viewer.bundle === null) return;
       if (this.#filming === null) {
-        this.#filming = filmDialog(this.viewer, this.act.during);
+        this.#filming = new FilmDialog(this.viewer, this.act.during);
         root.adoptedStyleSheets.push(dialogSheet());
         root.append(this.#filming.element);
       }

@@ -1,8 +1,8 @@
-/** The languages that are shipped, and which of them is spoken. */
+/** The languages that are shipped, and the one in use. */
 
 import type english from "./en.json";
 
-/** All that is said in one language. */
+/** All texts of one language. */
 export type Catalogue = typeof english;
 
 /** Languages besides English, each with what fetches its catalogue. */
@@ -22,7 +22,7 @@ export function chosen(wanted: readonly string[]): string {
   return wanted.flatMap(canonical).find((tag) => languages.includes(languageOf(tag))) ?? "en";
 }
 
-/** Return a tag as it is written, or nothing where it is none: what a page says of itself may be anything. */
+/** Return a tag in its canonical form; nothing for text that is not a tag, which a page's `lang` may be. */
 function canonical(tag: string): string[] {
   try {
     return Intl.getCanonicalLocales(tag.trim());
@@ -31,11 +31,11 @@ function canonical(tag: string): string[] {
   }
 }
 
-/** The language that is spoken, and its catalogue; null for English, which is not fetched. */
+/** The language in use, and its catalogue; null for English, which is not fetched. */
 export let language = "en";
 let catalogue: Catalogue | null = null;
 
-/** Return a part of a catalogue whose texts are in the language that is spoken when they are read. */
+/** Return a part of a catalogue; its texts are in the language in use when they are read. */
 export function spoken<Name extends keyof Catalogue>(name: Name, english: Catalogue[Name]): Catalogue[Name] {
   return new Proxy(english, { get: (_, key) => Reflect.get(catalogue?.[name] ?? english, key) });
 }
@@ -45,13 +45,13 @@ export function isFetched(tag: string): boolean {
   return Object.hasOwn(others, languageOf(tag));
 }
 
-/** Fetch the catalogue of a tag's language and speak it from then on; English where it cannot be fetched. */
+/** Fetch the catalogue of a tag's language and use it from then on; English if it cannot be fetched. */
 export async function speakAs(tag: string): Promise<void> {
   catalogue = isFetched(tag) ? await others[languageOf(tag)]!().catch(() => null) : null;
   language = catalogue === null ? "en" : languageOf(tag);
 }
 
-/** Resolves when a worker knows its language, of which the page has given it the name. */
+/** Resolves when a worker has its catalogue; the page names the worker after the language. */
 export function workerSpeaks(): Promise<void> {
   return speakAs(self.name);
 }

@@ -1,4 +1,4 @@
-/** What the pages say, in the language that was chosen; one for all that is on a page. */
+/** The texts of the pages, in the chosen language; a page has one. */
 
 import {
   bundleFaults as bundles,
@@ -8,7 +8,7 @@ import {
 } from "./en.json";
 import { chosen, isFetched, language, speakAs, spoken } from "./languages.js";
 
-// Workers say some of them, and contain only those.
+// Pure, so that the script of a worker contains only the parts that it uses.
 export const texts = /* @__PURE__ */ spoken("texts", pages);
 export const bundleFaults = /* @__PURE__ */ spoken("bundleFaults", bundles);
 export const mapFaults = /* @__PURE__ */ spoken("mapFaults", maps);
@@ -17,34 +17,34 @@ export const deviceFaults = /* @__PURE__ */ spoken("deviceFaults", devices);
 /** The tag of the chosen language, for numbers and times: "en-GB". */
 export let locale = "en";
 
-/** Speak the language of a tag from now on, once its catalogue is there. */
+/** Use the language of a tag from now on; resolves when its catalogue is loaded. */
 export async function speak(tag: string): Promise<void> {
   await speakAs(tag);
-  // Numbers go with the words, also where those could not be fetched.
+  // Numbers match the words, also where the catalogue could not be fetched.
   locale = isFetched(tag) && language === "en" ? "en" : tag;
 }
 
-/** Speak as the browser does, on a page of our own. */
+/** Use the browser's language, on a page of our own. */
 export async function speakAsBrowser(): Promise<void> {
   await speak(chosen(navigator.languages));
   document.documentElement.lang = locale;
 }
 
-/** Return the language of the page where the first element `name` is: of its own attribute `lang`, or what it is in. */
+/** Return the language at the first element `name`: its own attribute `lang`, or that of what surrounds it. */
 export function languageOfPage(name: string): string {
   const element = document.querySelector(name) ?? document.documentElement;
   return chosen([element.closest("[lang]")?.getAttribute("lang") ?? ""]);
 }
 
-/** Return what a code is called, or the code itself where this page does not know it. */
+/** Return the name of a code, or the code itself if this page does not know it. */
 export function named(names: Readonly<Record<string, string>>, code: string): string {
   return Object.hasOwn(names, code) ? names[code]! : code;
 }
 
-/** A message by the plural forms of a language for the number `n`; forms that are left out are as `other`. */
+/** A message in the plural forms of a language for the number `n`; missing forms are as `other`. */
 export type Forms = Partial<Record<Intl.LDMLPluralRule, string>> & { readonly other: string };
 
-/** What is wrong, and what to do about it. */
+/** A problem, and what to do about it. */
 export type Problem = { readonly what: string; readonly advice: string };
 
 type Values = Readonly<Record<string, string | number>>;
