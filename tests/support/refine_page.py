@@ -10,18 +10,18 @@ import base64
 import contextlib
 import json
 import subprocess
-import threading
 from collections.abc import Iterator, Sequence
 from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http import HTTPStatus
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
+import lambent_pages
 import numpy as np
 import torch
 from google.protobuf import json_format
 from lambent_core.directions import pixel_directions
-from lambent_pages import content_policy
+from lambent_pages.loopback import DATA_HEADERS, LoopbackHandler, serving
 from lambent_proto.v1.bundle_pb2 import BundleManifest
 from lambent_relight.baked.transport import transport_files
 from lambent_relight.cameras import Camera
@@ -47,12 +47,6 @@ SCENE = AnalyticScene(
     ),
     origin_offset=0.02,
 )
-_TYPES = {
-    ".js": "text/javascript",
-    ".mjs": "text/javascript",
-    ".wasm": "application/wasm",
-    ".css": "text/css",
-}
 _PAGE = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
 <link rel="stylesheet" href="small.css"><script type="module" src="lambent-viewer.js"></script>
 <lambent-viewer controls></lambent-viewer>"""
@@ -94,32 +88,33 @@ def write_light(path: Path) -> None:
     write_environment(path, image.astype(np.float32))
 
 
-class _Files(SimpleHTTPRequestHandler):
-    """Serves the built viewer, under our server's policy, and a folder of bundles and maps.
+class _Handler(LoopbackHandler):
+    """Serves the built viewer, as `lambent view` does, and a folder of bundles and maps.
 
-    Below strict/ the policy forbids WebAssembly. What was asked for is noted in a list.
+    Below strict/ the policy of workers forbids WebAssembly too. What was asked for is noted in a list.
     """
 
-    extensions_map: ClassVar = {**SimpleHTTPRequestHandler.extensions_map, **_TYPES}
+    def __init__(self, *given: object, pages: Path, data: Path, asked: list[str]) -> None:
+        self._data, self._asked = data, asked
+        super().__init__(*given, pages=pages)
 
-    def __init__(self, *args: object, pages: Path, data: Path, asked: list[str], **kwargs: object) -> None:
-        self._pages, self._data, self._asked = pages, data, asked
-        super().__init__(*args, **kwargs)
-
-    def translate_path(self, path: str) -> str:
-        """Return where a path of a request lies."""
-        name = path.partition("?")[0].lstrip("/").removeprefix("strict/")
+    def do_GET(self) -> None:  # noqa: N802 - the base class asks for it
+        """Answer with a file of the data, or with a page."""
+        self._is_strict = self.path.startswith("/strict/")
+        self.path = self.path.partition("?")[0].removeprefix("/strict")
+        name = self.path.lstrip("/")
         self._asked.append(name)
-        return str(self._data / name[5:] if name.startswith("data/") else self._pages / name)
+        if not name.startswith("data/"):
+            self.send_page("small.html", with_body=True)
+            return
+        file = self._data / name[5:]
+        found = HTTPStatus.OK if file.is_file() else HTTPStatus.NOT_FOUND
+        self.send(found, DATA_HEADERS, file.read_bytes() if file.is_file() else b"")
 
-    def end_headers(self) -> None:
-        """Add the policy."""
-        wasm = not self.path.startswith("/strict/")
-        self.send_header("content-security-policy", content_policy(wasm=wasm))
-        super().end_headers()
-
-    def log_message(self, *args: object) -> None:
-        """Keep quiet."""
+    def send(self, status: HTTPStatus, headers: dict[str, str], body: bytes, size: int | None = None) -> None:
+        """Answer with the headers of our own servers, but for the policy below strict/."""
+        strict = {"content-security-policy": lambent_pages.content_policy()} if self._is_strict else {}
+        super().send(status, headers | strict, body, size)
 
 
 def build_viewer(folder: Path) -> None:
@@ -232,14 +227,6 @@ class RefinePage:
 def refine_page(pages: Path, data: Path, profile: Path, *, more: Sequence[str] = ()) -> Iterator[RefinePage]:
     """Yield a page of the viewer in `pages` that opens bundles of `data`; `more` are flags of the browser."""
     asked: list[str] = []
-    handler = partial(_Files, pages=pages, data=data, asked=asked)
-    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    try:
-        with browser(profile, more=more) as page:
-            yield RefinePage(page, f"http://127.0.0.1:{server.server_address[1]}", asked)
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
+    handler = partial(_Handler, pages=pages, data=data, asked=asked)
+    with serving(handler) as url, browser(profile, more=more) as page:
+        yield RefinePage(page, url, asked)

@@ -32,8 +32,8 @@ _ENCODINGS = {"br": ".br", "gzip": ".gz"}
 _HASHED = "assets"
 # The element for other people's pages.
 _ELEMENT = "lambent-viewer.js"
-# The pages that compute in WebAssembly; workers have the policy of their own script.
-_WITHOUT_WASM = frozenset({"jobs.html", "masks.html"})
+# The script that compiles WebAssembly: a worker, which has the policy of its own response.
+_WITH_WASM = re.compile(r"refineWorker-[\w-]+\.js")
 # Of pages that must not depend on the build; colours and sizes are those of client/web/src/page/page.css.
 _PLAIN_STYLE = """
       :root { color-scheme: light dark; font: 16px / 1.5 system-ui, sans-serif; }
@@ -73,10 +73,10 @@ class PageFile:
     headers: dict[str, str]
 
 
-def content_policy(*, wasm: bool, frame_ancestors: Sequence[str] = (), style: str = "") -> str:
+def content_policy(*, wasm: bool = False, frame_ancestors: Sequence[str] = (), style: str = "") -> str:
     """Return the Content-Security-Policy of a page: nothing inline but `style`, nothing from other origins.
 
-    With `wasm` scripts may compile WebAssembly, which is not the same as evaluating text. Only pages of the
+    With `wasm` a worker whose script it comes with may compile WebAssembly. Only pages of the
     origins `frame_ancestors`, which must be valid, may show the page in a frame. `style` is the text of the
     page's only style element, which is allowed by its hash.
     """
@@ -148,7 +148,9 @@ def _read(
         "vary": "accept-encoding",
         "cache-control": caching,
         "etag": f'"{hashlib.sha256(content).hexdigest()}"',
-        "content-security-policy": content_policy(wasm=place.name not in _WITHOUT_WASM),
+        "content-security-policy": content_policy(
+            wasm=is_hashed and _WITH_WASM.fullmatch(place.name) is not None
+        ),
         **_SHARED_HEADERS,
     }
     if is_hashed or place.name == _ELEMENT:
@@ -171,7 +173,7 @@ def embed_page(head: str, frame_ancestors: Sequence[str] = (), folder: Path = FO
     headers = {
         "content-type": _TYPES[".html"],
         "cache-control": "no-store",
-        "content-security-policy": content_policy(wasm=True, frame_ancestors=frame_ancestors),
+        "content-security-policy": content_policy(frame_ancestors=frame_ancestors),
         **_SHARED_HEADERS,
     }
     if frame_ancestors:
@@ -229,7 +231,7 @@ def _plain_page(title: str, body: str) -> PageFile:
     headers = {
         "content-type": _TYPES[".html"],
         "cache-control": "no-store",
-        "content-security-policy": content_policy(wasm=False, style=_PLAIN_STYLE),
+        "content-security-policy": content_policy(style=_PLAIN_STYLE),
         **_SHARED_HEADERS,
     }
     return PageFile(text.encode(), headers)

@@ -326,7 +326,7 @@ def test_the_pages_are_sent_to_anybody_and_asked_for_again_by_their_etag(
     api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     (tmp_path / "assets").mkdir()
-    for name in ("jobs.html", "viewer.html", "assets/jobs-1a2b.js"):
+    for name in ("jobs.html", "viewer.html", "assets/jobs-1a2b.js", "assets/refineWorker-1a2b.js"):
         (tmp_path / name).write_text(name)
     find = lambent_pages.find
     monkeypatch.setattr("lambent_pages.find", lambda path, **given: find(path, tmp_path, **given))
@@ -337,7 +337,8 @@ def test_the_pages_are_sent_to_anybody_and_asked_for_again_by_their_etag(
     assert start.headers["cache-control"] == "no-cache"
     assert nobody.get("/", headers={"if-none-match": start.headers["etag"]}).status_code == 304
     assert "immutable" in nobody.get("/assets/jobs-1a2b.js").headers["cache-control"]
-    assert "'wasm-unsafe-eval'" in nobody.get("/viewer.html").headers["content-security-policy"]
+    for path, wasm in (("/viewer.html", False), ("/assets/refineWorker-1a2b.js", True)):
+        assert ("'wasm-unsafe-eval'" in nobody.get(path).headers["content-security-policy"]) == wasm
     expect_problem(nobody.get("/assets/nothing.js"), 404, "route_not_found")
     expect_problem(nobody.get("/.env.html"), 404, "route_not_found")
     absent = nobody.get("/nothing.html", headers={"accept": "text/html,*/*;q=0.8"})

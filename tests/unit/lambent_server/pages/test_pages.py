@@ -18,7 +18,8 @@ def folder(tmp_path: Path) -> Path:
     (dist / "assets").mkdir(parents=True)
     (dist / "jobs.html").write_text("<title>jobs</title>")
     (dist / "viewer.html").write_text("<title>viewer</title>")
-    (dist / "assets" / "jobs-1a2b.js").write_text("1")
+    for script in ("jobs-1a2b.js", "refineWorker-3c-4D_.js"):
+        (dist / "assets" / script).write_text("1")
     (dist / "assets" / "infer-3c4d.wasm").write_bytes(b"\0asm")
     (dist / "assets" / "notes.md").write_text("not for browsers")
     return dist
@@ -67,15 +68,23 @@ def test_nothing_but_files_of_the_pages_is_found(folder: Path, path: str):
     assert lambent_pages.find(path, folder) is None
 
 
-def test_only_what_computes_may_compile_webassembly(folder: Path):
-    for path, wasm in (("jobs.html", False), ("viewer.html", True), ("assets/jobs-1a2b.js", True)):
-        page = lambent_pages.find(path, folder)
+def test_only_the_worker_that_runs_networks_may_compile_webassembly(folder: Path):
+    (folder / "shared.html").write_text("<title>shared</title>")
+    pages = {
+        **{path: lambent_pages.find(path, folder) for path in ("jobs.html", "viewer.html")},
+        **{
+            path.name: lambent_pages.find(f"assets/{path.name}", folder)
+            for path in folder.glob("assets/*.js")
+        },
+        "shared": lambent_pages.embed_page("", ["https://shop.example"], folder),
+    }
+    for name, page in pages.items():
         assert page is not None
         policy = page.headers["content-security-policy"]
-        assert ("'wasm-unsafe-eval'" in policy) == wasm
+        assert ("'wasm-unsafe-eval'" in policy) == name.startswith("refineWorker-")
         assert "unsafe-inline" not in policy
         assert "'unsafe-eval'" not in policy
-        assert "http" not in policy
+        assert "http" not in policy.replace("frame-ancestors https://shop.example", "")
         assert policy.startswith("default-src 'none';")
 
 
