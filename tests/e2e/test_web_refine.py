@@ -209,10 +209,18 @@ def test_the_panel_chooses_what_rays_are_traced_against(opened):
     # The untrained network is fog: darker than what the mesh lets through.
     covered = mesh["coverage"][..., 0] > 0.99
     assert cache["directRgb"][covered].mean() < 0.95 * mesh["directRgb"][covered].mean()
+    # A script chooses as the panel does, which follows it.
     before = len(page.statuses())
-    choose(page, "mesh")
+    page.page.evaluate("void (viewer.refineOptions = { ...viewer.refineOptions, backend: 'mesh' })")
     page.page.wait(f"statuses.slice({before}).some((each) => each.phase === 'done')", 240.0)
     assert page.statuses()[-1]["backend"] == "mesh"
+    assert (
+        page.page.evaluate(
+            "[...document.querySelector('lambent-viewer').shadowRoot.querySelectorAll('select')]"
+            ".find((each) => [...each.options].some((one) => one.value === 'cache')).value"
+        )
+        == "mesh"
+    )
 
 
 @pytest.mark.parametrize("opened", ["mesh"], indirect=True)

@@ -49,7 +49,9 @@ export class Refinement {
   #status: RefineStatus = notRefining;
   #pool: RefinePool | null = null;
   #opened: Extract<RefineAnswer, { kind: "opened" }> | null = null;
+  /** The workers are for this bundle, and for this backend. */
   #bundle: LoadedBundle | null = null;
+  #backend: RefineOptions["backend"] | null = null;
   #sentLight: PreparedLight["levels"] | null = null;
   #layer: RefinedLayer | null = null;
   #picture: RefinedPicture | null = null;
@@ -72,7 +74,7 @@ export class Refinement {
   /** Something may have changed: where it did, the baked picture comes back. */
   changed(): void {
     const view = this.host.view();
-    if (view.bundle !== this.#bundle) this.#close(view.bundle);
+    if (view.bundle !== this.#bundle || view.options.backend !== this.#backend) this.#close(view);
     const light = this.host.stage.light("a")?.prepared ?? null;
     if (!view.moving && keyOf(view) === this.#key && light === this.#light) return;
     this.#stop();
@@ -97,11 +99,12 @@ export class Refinement {
     this.host.tell(this.#status);
   }
 
-  #close(bundle: LoadedBundle): void {
+  #close({ bundle, options }: RefineView): void {
     this.dispose();
     this.#opened = null;
     this.#sentLight = null;
     this.#bundle = bundle;
+    this.#backend = options.backend;
     this.#set(notRefining);
   }
 
@@ -130,7 +133,6 @@ export class Refinement {
   #open({ bundle, origin, options }: RefineView): void {
     this.#set({ phase: "loading" });
     if (this.#pool !== null) return;
-    this.#bundle = bundle;
     const { sceneId, mesh, transport } = bundle;
     const processors = navigator.hardwareConcurrency || 1;
     const count = workersFor(options, processors, bundle, globalThis.crossOriginIsolated);

@@ -103,7 +103,9 @@ export function buildPanel(
       ["mesh", texts.panel.raysOf.mesh],
       ["cache", texts.panel.raysOf.cache],
     ],
-    (backend) => viewer.refineAgainst(backend),
+    (backend) => {
+      viewer.refineOptions = { ...viewer.refineOptions, backend };
+    },
   );
   const raysBox = follow(rays, () => (viewer.refineOptions.backend === "mesh" ? "mesh" : "cache"));
   shown.push(() => {

@@ -59,8 +59,7 @@ export class Viewer {
   home: OrbitPose = initialState.pose;
   /** The turn of a built-in light until someone turns it. */
   homeTurn: LightTurn = initialState.turn;
-  /** When refining stops, and its backend. */
-  refineOptions: RefineOptions = refineOptions;
+  #refineOptions: RefineOptions = refineOptions;
 
   constructor(readonly canvas: HTMLCanvasElement) {
     canvas.addEventListener("webglcontextlost", (event) => {
@@ -252,6 +251,17 @@ export class Viewer {
     return this.#refinement?.shown?.picture ?? null;
   }
 
+  /** When refining stops, and its backend: another one begins anew. */
+  get refineOptions(): RefineOptions {
+    return this.#refineOptions;
+  }
+
+  set refineOptions(options: RefineOptions) {
+    this.#refineOptions = options;
+    this.#tell("change");
+    this.invalidate();
+  }
+
   /** Give up refining what is shown, and return what refines a picture of any size; its `end` goes on with it. */
   refineElsewhere(): StillHost & { readonly end: () => void } {
     this.#endRefining();
@@ -342,16 +352,6 @@ export class Viewer {
     if (samples === 1 && !this.#moving) {
       this.#still = setTimeout(() => this.#drawNow(stillSamples), stillAfterMs) as unknown as number;
     } else if (samples > 1) this.#refineSoon();
-  }
-
-  /** Trace rays of refined pictures against the mesh, or ask the trained cache; what is shown is refined anew. */
-  refineAgainst(backend: RefineOptions["backend"]): void {
-    if (backend === this.refineOptions.backend) return;
-    this.refineOptions = { ...this.refineOptions, backend };
-    if (this.#refinement === null) return;
-    this.#endRefining();
-    this.#tell("refine", notRefining);
-    this.#drawNow(stillSamples);
   }
 
   #endRefining(): void {
