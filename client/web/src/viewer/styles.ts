@@ -13,7 +13,7 @@ canvas:active { cursor: grabbing; }
 :host([fullpage][data-background=transparent]) canvas { background: repeating-conic-gradient(#26292d 0 25%, #1d2023 0 50%) 0 0 / 24px 24px; }
 :focus-visible { outline: 3px solid #8ec7ff; outline-offset: 2px; }
 canvas:focus-visible { outline-offset: -4px; }
-.panel { position: absolute; top: 0.75rem; right: 0.75rem; width: 21rem; max-height: calc(100% - 1.5rem); overflow: auto;
+.panel { position: absolute; top: 0.75rem; right: 0.75rem; width: 22rem; max-height: calc(100% - 1.5rem); overflow: auto;
   background: rgb(24 27 31 / 94%); border: 1px solid #4b525b; border-radius: 0.6rem; padding: 0.25rem 0.75rem; }
 .panel > summary { padding: 0.4rem 0; font-weight: 600; cursor: pointer; }
 .panel details > summary { cursor: pointer; padding: 0.35rem 0; color: #dfe4ea; }
@@ -94,8 +94,10 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 [hidden] { display: none !important; }
 .message:has(~ .dock:not([hidden]) > .strip:not([hidden])) { bottom: 8rem; }
 @container (min-width: 40rem) {
-  .view:has(~ .dock > .panel[open]) { right: 22.5rem; }
-  .dock:has(> .panel[open]) > .strip { right: 23.25rem; }
+  /* The longest choices are German ones. */
+  .panel label:has(> select) { grid-template-columns: 6.1rem 1fr; }
+  .view:has(~ .dock > .panel[open]), .welcome:has(~ .dock:not([hidden]) > .panel[open]) { right: 23.5rem; }
+  .dock:has(> .panel[open]) > .strip { right: 24.25rem; }
 }
 @container (max-width: 40rem) {
   .dock:not([hidden]) { position: absolute; left: 0; right: 0; bottom: 0; display: flex; flex-direction: column; }
