@@ -1,6 +1,7 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
-import { isSlow, turnedFor, turnFor, turnTowards, turnUntilInput } from "../src/viewer/firstTurn.js";
+import { isSlow, turnUntilInput } from "../src/viewer/firstTurn.js";
 import { sidesOf } from "../src/viewer/frozen.js";
+import { turnedFor, turnFor, turnTowards } from "../src/viewer/turning.js";
 import { fromParameters, initialState, toParameters, type ViewerState } from "../src/viewer/state.js";
 import type { Viewer } from "../src/viewer/viewer.js";
 

@@ -1,8 +1,15 @@
 /** Light on an object, and its sums over baked planes: the same as `lambent_relight.baked.light`. */
 
-import type { PlaneTable } from "../bundle/transport.js";
 import type { Direction } from "./environment.js";
 import { basis } from "./harmonics.js";
+
+/** Planes of bytes: a value is offset + scale times byte; four planes to a layer. */
+type Planes = {
+  readonly bands: number;
+  readonly layers: number;
+  readonly scales: ArrayLike<number>;
+  readonly offsets: ArrayLike<number>;
+};
 
 /** Rotated and scaled light. */
 export type FallingLight = {
@@ -31,11 +38,7 @@ export function bouncedCoefficients(light: FallingLight, bands: number): Float64
  * Return the factors of the planes' bytes, and what is there without them. Plane p holds coefficient p / channels of
  * channel p mod channels, or of all three where there is one channel.
  */
-export function sumFactors(
-  table: Omit<PlaneTable, "rows" | "steps">,
-  coefficientsRgb: ArrayLike<number>,
-  channels: 1 | 3,
-) {
+export function sumFactors(table: Planes, coefficientsRgb: ArrayLike<number>, channels: 1 | 3) {
   const rgb = [0, 1, 2].map(() => new Float32Array(4 * table.layers));
   const base = [0, 0, 0];
   const count = table.bands ** 2 * channels;

@@ -1,6 +1,6 @@
 /** Refined pictures of any size: parts that the workers take at once, refined one after the other, side by side. */
 
-import { interrupted } from "../viewer/frozen.js";
+import { interrupted } from "../render/fault.js";
 import type { ViewCamera } from "../render/looks.js";
 import type { Side, Stage } from "../render/stage.js";
 import { cameraOfPart, type Part, partsOf, shareIn } from "../render/tiles.js";

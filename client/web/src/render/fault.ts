@@ -1,6 +1,7 @@
 /** Errors of drawing. */
 
-import type { Problem } from "../words/words.js";
+import { Fault } from "../page/fault.js";
+import { type Problem, texts } from "../words/words.js";
 
 /** Thrown where the browser cannot draw what the viewer needs. */
 export class GraphicsFault extends Error {
@@ -9,4 +10,9 @@ export class GraphicsFault extends Error {
   constructor({ what, advice }: Problem) {
     super(`${what}; ${advice}`);
   }
+}
+
+/** Return the fault of a state that can no longer be drawn, in a film or in a refined picture. */
+export function interrupted(work: "film" | "refine" = "film"): Fault {
+  return new Fault(`${work}.interrupted`, texts.viewer.interrupted);
 }

@@ -109,7 +109,7 @@ export class LambentViewerElement extends HTMLElement {
     options: StillOptions = {},
   ): Promise<ImageData> {
     const viewer = this.#open();
-    const { refinedPixels } = await import("../refine/stillFile.js");
+    const { refinedPixels } = await import("./stillFile.js");
     return this.#busy(
       async () => new ImageData(await refinedPixels(viewer, size, options), size.width, size.height),
     );

@@ -1,7 +1,6 @@
 /** The turn of a light that nobody has turned: towards the first view, and slowly around it until someone does something. */
 
-import type { LightTurn } from "../render/looks.js";
-import { initialState, type ViewerState, wrapped } from "./state.js";
+import { type ViewerState, wrapped } from "./state.js";
 import type { Viewer } from "./viewer.js";
 
 const degreesPerSecond = 10;
@@ -10,27 +9,6 @@ const mostTurns = 3;
 /** Where frames take longer than this the turn is not smooth, and stops. */
 const longestFrameMs = 90;
 const judgedFrames = 8;
-
-/** Return the turn of a built-in light whose key light stands at the left of someone who looks from an azimuth. */
-export function turnTowards(azimuthDeg: number): LightTurn {
-  return { ...initialState.turn, yawDeg: wrapped(Math.round(azimuthDeg)) };
-}
-
-/** Return the turn of a light that nobody has turned: `home` for built-in lights, and none for maps as they are. */
-export function turnFor(environment: string, home: LightTurn): LightTurn {
-  return environment.startsWith("preset:") ? home : initialState.turn;
-}
-
-/** Return a change of a state; one to another light brings that light's own turn, unless someone has turned the light. */
-export function turnedFor(
-  change: Partial<ViewerState>,
-  before: Pick<ViewerState, "environment" | "turn">,
-  home: LightTurn,
-): Partial<ViewerState> {
-  if (change.environment === undefined || change.turn !== undefined) return change;
-  if (before.turn !== turnFor(before.environment, home)) return change;
-  return { ...change, turn: turnFor(change.environment, home) };
-}
 
 /** Return whether a part of an element is in the window. */
 export function isInWindow(element: Element): boolean {

@@ -3,11 +3,11 @@
 import type { PhotoCamera } from "../bundle/cameras.js";
 import type { LoadedBundle } from "../bundle/load.js";
 import { type Ball, ballOf } from "../render/ball.js";
+import type { LightTurn } from "../render/looks.js";
 import { axesOf, fieldOfViewDeg } from "./camera.js";
 import { lightFor } from "./earlyLight.js";
-import { turnedFor, turnFor, turnTowards } from "./firstTurn.js";
+import { turnedFor, turnFor, turnTowards } from "./turning.js";
 import { initialState, limits, type OrbitPose, type ViewerState, within } from "./state.js";
-import type { Viewer } from "./viewer.js";
 
 /** Share of the picture that the object spans, along the side that it fills most. */
 const filled = 0.8;
@@ -17,6 +17,8 @@ const bestElevationDeg = 20;
 const beyondDeg = 15;
 const rounds = 24;
 
+/** The pose and the turn of built-in lights that a bundle is opened with. */
+type Home = { readonly home: OrbitPose; readonly homeTurn: LightTurn };
 type Range = readonly [least: number, most: number];
 type Seen = Pick<LoadedBundle, "cameras" | "boundsMin" | "boundsMax" | "mesh">;
 
@@ -53,10 +55,10 @@ export function firstPose(bundle: Seen, width: number, height: number): OrbitPos
 /** Return the state in which a bundle is first shown: what neither a link nor a person has chosen is for this bundle. */
 export function firstView(
   { pose, turn, ...state }: ViewerState,
-  before: Pick<Viewer, "home" | "homeTurn">,
+  before: Home,
   bundle: Seen & Pick<LoadedBundle, "trainedMaps">,
   { width, height }: { readonly width: number; readonly height: number },
-): Pick<Viewer, "home" | "homeTurn"> & { readonly state: ViewerState } {
+): Home & { readonly state: ViewerState } {
   const home = firstPose(bundle, width, height);
   const homeTurn = turnTowards(home.azimuthDeg);
   const environment = lightFor(

@@ -1,11 +1,10 @@
 /** One state of a viewer, drawn whatever is shown. */
 
-import { Fault } from "../page/fault.js";
+import { interrupted } from "../render/fault.js";
 import type { LightTurn, ViewCamera } from "../render/looks.js";
 import type { Side, Stage } from "../render/stage.js";
-import { turnFor } from "./firstTurn.js";
+import { turnFor } from "./turning.js";
 import type { ViewerState } from "./state.js";
-import { texts } from "../words/words.js";
 
 /** Draws a state with changes; returns RGBA bytes, straight alpha, sRGB-encoded, rows from the top. */
 export type Frozen = (
@@ -39,11 +38,6 @@ export function freeze(
       stage.overlay = overlay;
     }
   };
-}
-
-/** Return the fault of a state that can no longer be drawn, in a film or in a refined picture. */
-export function interrupted(work: "film" | "refine" = "film"): Fault {
-  return new Fault(`${work}.interrupted`, texts.viewer.interrupted);
 }
 
 /**

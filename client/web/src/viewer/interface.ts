@@ -262,7 +262,7 @@ export class Interface {
   ): void {
     const { state, bundle } = this.viewer;
     const refined = async (): Promise<void> => {
-      const { saveRefined } = await import("../refine/stillDialog.js");
+      const { saveRefined } = await import("./stillDialog.js");
       await saveRefined(root, this.viewer, { width, height }, kind);
     };
     const plain = async (): Promise<void> => download(await make(), `${bundle?.name ?? "lambent"}.${kind}`);

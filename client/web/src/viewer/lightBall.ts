@@ -4,7 +4,7 @@ import type { Direction } from "../engine/environment.js";
 import type { LightTurn } from "../render/looks.js";
 import { axesOf } from "./camera.js";
 import { listening, make, releases } from "./fields.js";
-import { turnFor } from "./firstTurn.js";
+import { turnFor } from "./turning.js";
 import { turned, turnedAbout } from "./turning.js";
 import type { Viewer } from "./viewer.js";
 import { fillIn, texts } from "../words/words.js";

@@ -1,6 +1,6 @@
 /** Parts of the state that are put back to their start, each for itself. */
 
-import { turnFor } from "./firstTurn.js";
+import { turnFor } from "./turning.js";
 import { initialState, type ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
 

@@ -1,6 +1,6 @@
 /** Refined pictures that a viewer makes besides what it shows. */
 
-import { interrupted } from "./frozen.js";
+import { interrupted } from "../render/fault.js";
 
 /** What ends the work on one picture: `lost` says that it can no longer be made, and `end` is called in any case. */
 export type Still = { readonly lost: AbortSignal; readonly end: () => void };

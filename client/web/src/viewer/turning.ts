@@ -5,6 +5,7 @@ import type { Matrix3 } from "../engine/harmonics.js";
 import type { PreparedLight } from "../light/prepare.js";
 import { turnMatrix } from "../render/light.js";
 import type { LightTurn } from "../render/looks.js";
+import { initialState, type ViewerState, wrapped } from "./state.js";
 
 /** Least length of the mean direction, as a share of the whole light, that is one. */
 const leastShare = 0.02;
@@ -73,4 +74,25 @@ function multiply(a: Matrix3, b: Matrix3): Matrix3 {
 function apply(matrix: Matrix3, [x, y, z]: Direction): Direction {
   const at = (r: 0 | 1 | 2): number => matrix[r][0] * x + matrix[r][1] * y + matrix[r][2] * z;
   return [at(0), at(1), at(2)];
+}
+
+/** Return the turn of a built-in light whose key light stands at the left of someone who looks from an azimuth. */
+export function turnTowards(azimuthDeg: number): LightTurn {
+  return { ...initialState.turn, yawDeg: wrapped(Math.round(azimuthDeg)) };
+}
+
+/** Return the turn of a light that nobody has turned: `home` for built-in lights, and none for maps as they are. */
+export function turnFor(environment: string, home: LightTurn): LightTurn {
+  return environment.startsWith("preset:") ? home : initialState.turn;
+}
+
+/** Return a change of a state; one to another light brings that light's own turn, unless someone has turned the light. */
+export function turnedFor(
+  change: Partial<ViewerState>,
+  before: Pick<ViewerState, "environment" | "turn">,
+  home: LightTurn,
+): Partial<ViewerState> {
+  if (change.environment === undefined || change.turn !== undefined) return change;
+  if (before.turn !== turnFor(before.environment, home)) return change;
+  return { ...change, turn: turnFor(change.environment, home) };
 }

@@ -16,14 +16,13 @@ import type { LightTurn, Rgb, ViewCamera } from "../render/looks.js";
 import { Stage } from "../render/stage.js";
 import { beside, type Inset, noInset, orbitCamera, photoCamera, sizeOf } from "./camera.js";
 import { Emitter, type ViewerEvents } from "./events.js";
-import { turnedFor } from "./firstTurn.js";
 import { elevationRange, firstView, inAnotherLight } from "./firstView.js";
 import { type Frozen, freeze, sidesOf } from "./frozen.js";
 import { ViewerLights } from "./lights.js";
 import { besidePhotograph } from "./photograph.js";
 import { initialState, limits, type OrbitPose, type ViewerState } from "./state.js";
 import { Stills } from "./stills.js";
-import { mainDirection } from "./turning.js";
+import { mainDirection, turnedFor } from "./turning.js";
 import { fillIn, texts } from "../words/words.js";
 
 const stillSamples = 2;

@@ -1,10 +1,10 @@
 /** The dialog that refines a picture to save; loaded when it is first needed. */
 
-import { dialogSheet, WorkNews } from "../viewer/dialogs.js";
-import { button, make } from "../viewer/fields.js";
-import { download } from "../viewer/save.js";
-import type { Viewer } from "../viewer/viewer.js";
-import { statusText } from "./status.js";
+import { dialogSheet, WorkNews } from "./dialogs.js";
+import { button, make } from "./fields.js";
+import { download } from "./save.js";
+import type { Viewer } from "./viewer.js";
+import { statusText } from "../refine/status.js";
 import { refinedFile } from "./stillFile.js";
 import { fillIn, texts } from "../words/words.js";
 

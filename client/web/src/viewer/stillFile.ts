@@ -1,9 +1,9 @@
 /** Refined pictures of a viewer, in any size. */
 
 import type { ViewCamera } from "../render/looks.js";
-import { exrFrom, pngFrom } from "../viewer/save.js";
-import type { Viewer } from "../viewer/viewer.js";
-import { refinedStill, type StillOptions } from "./still.js";
+import { exrFrom, pngFrom } from "./save.js";
+import type { Viewer } from "./viewer.js";
+import { refinedStill, type StillOptions } from "../refine/still.js";
 
 const samples = 2;
 
