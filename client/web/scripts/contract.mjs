@@ -1,5 +1,5 @@
-// Generates the TypeScript of proto/ and of the REST interface into src/contract, or with --check lists the files
-// that differ.
+// Generates the TypeScript of proto/, of the REST interface and of the numbers that Python shares into src/contract, or
+// with --check lists the files that differ.
 // protoc comes with grpcio-tools in the repository's .venv; set PYTHON to use another interpreter.
 import { execFileSync } from "node:child_process";
 import {
@@ -32,8 +32,9 @@ function filesUnder(folder) {
     .sort();
 }
 
+const python = process.env.PYTHON ?? join(root, ".venv/bin/python");
+
 function generate(target) {
-  const python = process.env.PYTHON ?? join(root, ".venv/bin/python");
   const plugin = join(web, "node_modules/.bin/protoc-gen-es");
   const sources = read.map((name) => `${messages}/${name}`);
   execFileSync(
@@ -73,12 +74,18 @@ function generateRest(target) {
   rmSync(bodies);
 }
 
+/** Write the numbers that Python and the browser share. */
+function generateConstants(target) {
+  execFileSync(python, [join(root, "scripts/shared_constants.py"), target], { stdio: "inherit" });
+}
+
 function main() {
   const check = process.argv.includes("--check");
   const fresh = mkdtempSync(join(tmpdir(), "lambent-contract-"));
   try {
     generate(fresh);
     generateRest(fresh);
+    generateConstants(fresh);
     const names = filesUnder(fresh);
     const stale = filesUnder(contract).filter((name) => !names.includes(name));
     const differing = names.filter(

@@ -1,4 +1,5 @@
 import { describe, expect, it, vi } from "vitest";
+import { dielectricF0 } from "../src/contract/constants.js";
 import { directionOfUv } from "../src/engine/environment.js";
 import { pixelSolidAngle } from "../src/engine/environmentMap.js";
 import { toHalf } from "../src/engine/half.js";
@@ -7,7 +8,7 @@ import type { Hits } from "../src/refine/hitRadiance.js";
 import { cosineLobe, LightSampler, lobeOfAlpha, pixelMasses, tableRow } from "../src/refine/lightSampler.js";
 import { onePass } from "../src/refine/passes.js";
 import { Randoms } from "../src/refine/randoms.js";
-import { dielectricF0, Reflection } from "../src/refine/reflection.js";
+import { Reflection } from "../src/refine/reflection.js";
 import { type Lit, Scattering, strategyShares } from "../src/refine/scattering.js";
 import { brightness, SkyLight } from "../src/refine/skyLight.js";
 import {

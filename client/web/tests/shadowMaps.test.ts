@@ -1,7 +1,8 @@
 import { describe, expect, it } from "vitest";
 import type { Direction } from "../src/engine/environment.js";
 import { screenProgram } from "../src/render/fullScreen.js";
-import { lightAxes, ShadowCaster, ShadowMaps, shadowLook } from "../src/render/shadowMaps.js";
+import { lightAxes, ShadowCaster, ShadowMaps } from "../src/render/shadowMaps.js";
+import shadowShare from "../src/render/shaders/shadowShare.glsl?raw";
 import { BufferGeometry } from "three";
 
 const dot = (a: Direction, b: Direction): number => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -38,7 +39,7 @@ describe("shadow maps", () => {
     const caster = new ShadowCaster(new BufferGeometry(), { centre: [1, 2, 3], radius: 4 });
     const maps = new ShadowMaps();
     const given = caster.uniforms({ directions, radiiRad: [0.1, 0.2, 0.3, 0.4] }, maps);
-    expect(Object.keys(given).sort()).toEqual(Object.keys(screenProgram(shadowLook).uniforms).sort());
+    expect(Object.keys(given).sort()).toEqual(Object.keys(screenProgram([shadowShare]).uniforms).sort());
     expect((given.lightTangents as Float32Array)[1]).toBeCloseTo(Math.tan(0.2), 6);
     expect(
       [...(given.lightUp as Float32Array).subarray(6, 9)].map((value) => Math.round(1e6 * value)),

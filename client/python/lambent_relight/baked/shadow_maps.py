@@ -4,8 +4,8 @@ A map is an orthographic picture of the ball around the mesh's box along the lig
 [0, 1] from the side of the light. At a surface point the blockers in the cone of the light's disc give the
 width of the penumbra, and the share of lit texels inside it the share of the light. Comparisons follow the
 surface's tangent plane, so that a slanted surface does not shadow itself. The viewer does the same
-(client/web/src/render/shadowMaps.ts). Source: Fernando 2005 (percentage-closer soft shadows); Isidoro 2006
-for planes of receivers.
+(client/web/src/render/shaders/shadowShare.glsl). Source: Fernando 2005 (percentage-closer soft shadows);
+Isidoro 2006 for planes of receivers.
 """
 
 from dataclasses import dataclass

@@ -6,6 +6,7 @@
  * Source: docs/reference/bundle-format.md (transport).
  */
 
+import { numShadowDirections } from "../contract/constants.js";
 import type { Transport, TransportPlanes } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { type BundleFault, exportAgain } from "../page/fault.js";
 import { maxAtlasSize } from "./manifest.js";
@@ -14,7 +15,6 @@ import { bundleFaults, fillIn } from "../words/words.js";
 
 /** Columns of all tables. */
 export const tableWidth = 1024;
-export const numShadowDirections = 256;
 
 /** Planes of texels in layers of four. */
 export type PlaneTable = {

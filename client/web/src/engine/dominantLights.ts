@@ -4,12 +4,9 @@
  * Source: docs/reference/conventions.md (dominant lights).
  */
 
+import { dominantMaxTrials, dominantMinShare, dominantRadiusDeg } from "../contract/constants.js";
 import { directionOfPixel, type Direction } from "./environment.js";
 import { energy, pixelSolidAngle, type EnvironmentMap, type Rgb } from "./environmentMap.js";
-
-const radiusDeg = 8;
-const minShare = 0.03;
-const maxTrials = 16;
 
 /** Light from one direction. */
 export type DirectionalLight = {
@@ -38,14 +35,14 @@ export function splitDominantLights(map: EnvironmentMap, count: number): Dominan
   const total = sum(energy(map));
   const peaks = new Peaks(map);
   const lights: DirectionalLight[] = [];
-  for (let trial = 0; trial < maxTrials && lights.length < count && total > 0; trial++) {
+  for (let trial = 0; trial < dominantMaxTrials && lights.length < count && total > 0; trial++) {
     const peak = peaks.largest();
     if (peak === null) break;
     const { disk, ring } = diskAndRing(map, peak);
     if (ring.length === 0) break;
     const around = meanOver(image, ring);
     peaks.strike([...disk, ...ring]);
-    const light = takeOut(image, map, disk, around, minShare * total);
+    const light = takeOut(image, map, disk, around, dominantMinShare * total);
     if (light !== null) lights.push(light);
   }
   lights.sort((a, b) => sum(b.radianceSolidAngle) - sum(a.radianceSolidAngle));
@@ -139,7 +136,10 @@ function takeOut(
 
 /** Return the pixels within 8 degrees of a pixel, and those from there to 12 degrees. */
 function diskAndRing(map: EnvironmentMap, peak: number): { disk: Patch; ring: Patch } {
-  const [inner, outer] = [Math.cos((radiusDeg * Math.PI) / 180), Math.cos((1.5 * radiusDeg * Math.PI) / 180)];
+  const [inner, outer] = [
+    Math.cos((dominantRadiusDeg * Math.PI) / 180),
+    Math.cos((1.5 * dominantRadiusDeg * Math.PI) / 180),
+  ];
   const near = around(map, peak, outer);
   const disk = near.filter(({ cosine, index }) => cosine >= inner || index === peak);
   const ring = near.filter(({ cosine, index }) => cosine >= outer && cosine < inner && index !== peak);
@@ -158,7 +158,7 @@ function around(map: EnvironmentMap, peak: number, least: number): Patch {
   const row = Math.floor(peak / width);
   const column = peak % width;
   const centre = directionOfPixel(row, column, height, width);
-  const reach = ((1.5 * radiusDeg) / 180) * height + 1;
+  const reach = ((1.5 * dominantRadiusDeg) / 180) * height + 1;
   const level = Math.hypot(centre[0], centre[1]);
   const found: Patch[number][] = [];
   for (let r = Math.max(Math.floor(row - reach), 0); r < Math.min(row + reach + 1, height); r++) {

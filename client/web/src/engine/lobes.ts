@@ -3,9 +3,8 @@
  * `lambent_relight.baked.transport_lobes`.
  */
 
-/** Values of perceptual roughness that are tabulated. */
-export const numLobeSteps = 64;
-const minRoughness = 0.02;
+import { lobeMinRoughness, numLobeSteps } from "../contract/constants.js";
+
 const numNodes = 512;
 
 /** Return A_l for perceptual roughness 0 to 1 in equal steps, at [step * bands + l]. */
@@ -13,7 +12,7 @@ export function ggxBands(bands: number): Float32Array<ArrayBuffer> {
   const { nodes, weights } = gaussLegendre(numNodes);
   const table = new Float32Array(numLobeSteps * bands);
   for (let step = 0; step < numLobeSteps; step++) {
-    const alphaSquared = Math.max(step / (numLobeSteps - 1), minRoughness) ** 4;
+    const alphaSquared = Math.max(step / (numLobeSteps - 1), lobeMinRoughness) ** 4;
     const sums = new Float64Array(bands);
     nodes.forEach((node, index) => {
       // With u uniform, half vectors have density D cos; the light's direction then has density D / 4.

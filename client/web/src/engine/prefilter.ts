@@ -6,19 +6,17 @@
  * Source: docs/reference/conventions.md (prefiltered levels).
  */
 
+import { narrowestLevel, widestLevel } from "../contract/constants.js";
 import { pixelSolidAngle, resized, type EnvironmentMap } from "./environmentMap.js";
 import { type Coupling, narrowCoupling, sampledCoupling } from "./coupling.js";
 import { Fourier } from "./fourier.js";
-
-const narrowest = 64;
-const widest = 512;
 
 /** Levels of an environment, from the sharpest to roughness 1. */
 export type Prefiltered = readonly EnvironmentMap[];
 
 /** Return the number of columns of the level of GGX width alpha > 0. */
 export function levelWidth(alpha: number): number {
-  return Math.min(Math.max(2 ** Math.ceil(Math.log2(16 / alpha)), narrowest), widest);
+  return Math.min(Math.max(2 ** Math.ceil(Math.log2(16 / alpha)), narrowestLevel), widestLevel);
 }
 
 /** Return a map in `numLevels` levels (2 to 16). */
@@ -35,7 +33,7 @@ export function prefilter(map: EnvironmentMap, numLevels: number): Prefiltered {
       source = resized(fine ? source! : map, width / 2, width);
     }
     levels.push(
-      zonalMean(source, width < widest ? sampledCoupling(alpha, width) : narrowCoupling(alpha, width)),
+      zonalMean(source, width < widestLevel ? sampledCoupling(alpha, width) : narrowCoupling(alpha, width)),
     );
   }
   return levels;

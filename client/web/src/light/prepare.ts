@@ -3,6 +3,7 @@
  * lights, harmonics of the rest, and prefiltered levels in one texture.
  */
 
+import { numLevels } from "../contract/constants.js";
 import { splitDominantLights, type DirectionalLight } from "../engine/dominantLights.js";
 import { directionOfPixel } from "../engine/environment.js";
 import { type EnvironmentMap, pixelSolidAngle, resized } from "../engine/environmentMap.js";
@@ -12,8 +13,6 @@ import { MapFault } from "../page/fault.js";
 import { toHalf } from "../engine/half.js";
 import { fillIn, mapFaults } from "../words/words.js";
 
-/** Levels of roughness: 0, 1/8, ... 1. */
-export const numLevels = 9;
 export const maxDominant = 4;
 /** Largest map in memory; larger ones are means of it. */
 export const maxWidth = 2048;

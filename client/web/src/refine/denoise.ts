@@ -7,6 +7,7 @@
  * and 2013 (weights from the noise, and features).
  */
 
+import { denoiseLeast, denoisePatch } from "../contract/constants.js";
 import type { RefinedPicture } from "./accumulation.js";
 
 /** What stands behind each pixel, rows from the top. */
@@ -20,16 +21,12 @@ export type PixelFeatures = {
 
 /** Pixels that take part, to either side. */
 const radius = 7;
-/** Pixels to either side that are compared with their neighbours. */
-const patch = 1;
 /** Patches count as alike within this many standard errors of their difference. */
 const strength = 0.6;
 /** Differences at which a neighbour counts 1/e: of albedo, of normals (a length), and of the distance as a share. */
 const widths = { albedo: 0.03, normal: 0.15, distance: 0.02 } as const;
 /** Features further apart than this have no part. */
 const furthest = 9;
-/** Share of a radiance squared that is always taken for noise, so that nothing is divided by zero. */
-const least = 1e-4;
 const numFeatures = 7;
 /** Messages are let in so often, ms. */
 const pauseEveryMs = 40;
@@ -109,10 +106,10 @@ function patchDistance(
   otherColumn: number,
 ): number {
   let [total, count] = [0, 0];
-  for (let i = -patch; i <= patch; i++) {
+  for (let i = -denoisePatch; i <= denoisePatch; i++) {
     const [a, c] = [row + i, otherRow + i];
     if (a < 0 || c < 0 || a >= height || c >= height) continue;
-    for (let j = -patch; j <= patch; j++) {
+    for (let j = -denoisePatch; j <= denoisePatch; j++) {
       const [b, d] = [column + j, otherColumn + j];
       if (b < 0 || d < 0 || b >= width || d >= width) continue;
       const [one, two] = [a * width + b, c * width + d];
@@ -123,7 +120,7 @@ function patchDistance(
         const [own, theirs] = [variance[3 * one + k]!, variance[3 * two + k]!];
         // Noise alone makes the square as large as the sum of both variances.
         const excess = apart * apart - (own + Math.min(own, theirs));
-        total += excess / (strength * strength * (own + theirs) + least * value * value + 1e-12);
+        total += excess / (strength * strength * (own + theirs) + denoiseLeast * value * value + 1e-12);
       }
       count += 3;
     }

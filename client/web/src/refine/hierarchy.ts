@@ -5,6 +5,8 @@
  * leaves of four. Source: Wald 2007 (On fast Construction of SAH-based Bounding Volume Hierarchies).
  */
 
+import { hierarchyGrown, hierarchyMaxDepth, leafFaces, numBins } from "../contract/constants.js";
+
 /** Inner nodes, and the faces in the order of the leaves; node 0 is the root. */
 export type Hierarchy = {
   /** Lowest and highest corner of either child: twelve numbers per node. */
@@ -18,13 +20,6 @@ export type Hierarchy = {
   /** Number of each face in the mesh. */
   readonly face: Uint32Array<ArrayBuffer>;
 };
-
-const leafFaces = 4;
-const numBins = 16;
-/** Below it groups are halved by number, so that no hierarchy is deeper than this and 31 more. */
-const maxDepth = 48;
-/** By this share of the mesh's size boxes are larger than their faces, so that rounding loses none. */
-const grown = 1e-6;
 
 /** Return the hierarchy of triangles over `positions`; there must be one triangle at least. */
 export function buildHierarchy(positions: Float32Array, indices: ArrayLike<number>): Hierarchy {
@@ -47,7 +42,9 @@ export function buildHierarchy(positions: Float32Array, indices: ArrayLike<numbe
   for (let group = waiting.pop(); group !== undefined; group = waiting.pop()) {
     const { node, start, end, depth } = group;
     const middle =
-      depth < maxDepth && end - start > 1 ? splitter.split(start, end) : Math.ceil((start + end) / 2);
+      depth < hierarchyMaxDepth && end - start > 1
+        ? splitter.split(start, end)
+        : Math.ceil((start + end) / 2);
     for (const side of [0, 1]) {
       const [from, to] = side === 0 ? [start, middle] : [middle, end];
       bound(faceBoxes, order, from, to, boxes, 12 * node + 6 * side);
@@ -82,7 +79,7 @@ function boxesOf(positions: Float32Array, indices: ArrayLike<number>): Float32Ar
     }
     size = Math.max(size, high - low);
   }
-  const margin = grown * Math.max(size, 1e-30);
+  const margin = hierarchyGrown * Math.max(size, 1e-30);
   for (let face = 0; face < numFaces; face++) {
     for (let axis = 0; axis < 3; axis++) {
       const [a, b, c] = [0, 1, 2].map((corner) => positions[3 * indices[3 * face + corner]! + axis]!);

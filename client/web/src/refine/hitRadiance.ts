@@ -4,22 +4,19 @@
  * sum.
  */
 
+import { dielectricF0, leastBlocked, numLobeSteps } from "../contract/constants.js";
 import type { AtlasMesh } from "../bundle/mesh.js";
 import { type HitTransport, tableWidth } from "../bundle/transport.js";
 import { basis } from "../engine/harmonics.js";
-import { ggxBands, numLobeSteps } from "../engine/lobes.js";
+import { ggxBands } from "../engine/lobes.js";
 import { splitSum, splitSumTable } from "../engine/splitSum.js";
 import type { FallingLight } from "../engine/fallingLight.js";
 import { bouncedIrradiance, directIrradiance } from "./litTexels.js";
 import { NearestPoint } from "./nearestPoint.js";
-import { dielectricF0 } from "./reflection.js";
 import type { SkyLight } from "./skyLight.js";
 import { edited, type RefineEdit, type TexelMaterials, texelMaterials } from "./surfacePoints.js";
 import { texelPositions } from "./texelPositions.js";
 import { type Vector, vector } from "./vectors.js";
-
-/** Share of the hemisphere that is taken to be surrounded at least, where light from there is wanted. */
-const leastBlocked = 0.05;
 
 /** The light-independent data of hits. */
 export class HitScene {

@@ -8,6 +8,14 @@
  * map's.
  */
 
+import {
+  samplerAxesSide,
+  samplerCellColumns,
+  samplerCellRows,
+  samplerFloorShare,
+  samplerMaxRows,
+  sharpnessTimesAlphaSquared,
+} from "../contract/constants.js";
 import { directionOfUv } from "../engine/environment.js";
 import { pixelSolidAngle } from "../engine/environmentMap.js";
 import { grouped } from "./grouped.js";
@@ -15,12 +23,6 @@ import type { Vector } from "./vectors.js";
 
 export const cosineLobe = 0;
 const lobeAlphas = [1, 0.5, 0.25, 0.125] as const;
-/** Gives the lobe exp(k (cos - 1)) the same half width as a GGX reflection of width alpha. */
-const sharpnessTimesAlphaSquared = 0.84;
-const maxRows = 512;
-const [cellRows, cellColumns] = [32, 64];
-const axesSide = 16;
-const floorShare = 0.02;
 
 /** Non-negative numbers per pixel of a latitude-longitude map, rows from the top. */
 export type Brightness = { readonly width: number; readonly height: number; readonly values: Float64Array };
@@ -42,13 +44,13 @@ export function tableRow(axis: Vector, lobe: number): number {
   const fx = z < 0 ? (1 - Math.abs(py)) * (px < 0 ? -1 : 1) : px;
   const fy = z < 0 ? (1 - Math.abs(px)) * (py < 0 ? -1 : 1) : py;
   const bin = (value: number): number =>
-    Math.min(Math.max(Math.floor((value + 1) * (axesSide / 2)), 0), axesSide - 1);
-  return lobe * axesSide * axesSide + bin(fy) * axesSide + bin(fx);
+    Math.min(Math.max(Math.floor((value + 1) * (samplerAxesSide / 2)), 0), samplerAxesSide - 1);
+  return lobe * samplerAxesSide * samplerAxesSide + bin(fy) * samplerAxesSide + bin(fx);
 }
 
 function binAxis(bin: number): readonly [number, number, number] {
-  const middle = (index: number): number => (index + 0.5) * (2 / axesSide) - 1;
-  const [x, y] = [middle(bin % axesSide), middle(Math.floor(bin / axesSide))];
+  const middle = (index: number): number => (index + 0.5) * (2 / samplerAxesSide) - 1;
+  const [x, y] = [middle(bin % samplerAxesSide), middle(Math.floor(bin / samplerAxesSide))];
   const z = 1 - Math.abs(x) - Math.abs(y);
   const fx = z < 0 ? (1 - Math.abs(y)) * (x < 0 ? -1 : 1) : x;
   const fy = z < 0 ? (1 - Math.abs(x)) * (y < 0 ? -1 : 1) : y;
@@ -183,7 +185,7 @@ export function pixelMasses({ width, height, values }: Brightness): Brightness {
       wrapped[row * width + column] = 0.75 * at(column) + 0.125 * (at(column - 1) + at(column + 1));
     }
   }
-  let [rows, columns] = [Math.min(height, maxRows), Math.min(width, 2 * maxRows)];
+  let [rows, columns] = [Math.min(height, samplerMaxRows), Math.min(width, 2 * samplerMaxRows)];
   if (height % rows !== 0 || width % columns !== 0) {
     // Sampling pixels must be unions of pixels with equal angles, or their solid angles would be wrong.
     [rows, columns] = [commonDivisor(height, rows), commonDivisor(width, columns)];
@@ -216,9 +218,9 @@ function cells(width: number, height: number): { cell: Uint16Array; numCells: nu
   const code = new Uint16Array(width * height);
   const seen = new Int32Array(1 << 12).fill(-1);
   for (let row = 0; row < height; row++) {
-    const r = Math.floor((row * Math.min(cellRows, height)) / height);
+    const r = Math.floor((row * Math.min(samplerCellRows, height)) / height);
     for (let column = 0; column < width; column++) {
-      const c = Math.floor((column * Math.min(cellColumns, width)) / width);
+      const c = Math.floor((column * Math.min(samplerCellColumns, width)) / width);
       let value = 0;
       for (let bit = 0; bit < 6; bit++) {
         value |= (((r >> bit) & 1) << (2 * bit + 1)) | (((c >> bit) & 1) << (2 * bit));
@@ -254,7 +256,7 @@ function cellDirections(cell: Uint16Array, width: number, height: number, numCel
 
 /** Return running sums of the probability of every cell, and the mean of the map, for every lobe and axis. */
 function lobeTable(cellMass: Float64Array, directions: Float64Array) {
-  const [numCells, numAxes] = [cellMass.length, axesSide * axesSide];
+  const [numCells, numAxes] = [cellMass.length, samplerAxesSide * samplerAxesSide];
   const table = new Float64Array((1 + lobeAlphas.length) * numAxes * numCells);
   const means = new Float64Array((1 + lobeAlphas.length) * numAxes);
   const values = new Float64Array(numCells);
@@ -277,7 +279,7 @@ function lobeTable(cellMass: Float64Array, directions: Float64Array) {
       means[lobe * numAxes + bin] = lit / size;
       // A floor keeps every lit cell possible, whatever the axis' place inside its bin. The last term is for maps of a
       // few pixels, whose cells may all lie outside a narrow lobe.
-      const floor = floorShare * mean + 1e-12;
+      const floor = samplerFloorShare * mean + 1e-12;
       let sum = 0;
       for (let number = 0; number < numCells; number++) sum += cellMass[number]! * (values[number]! + floor);
       const start = (lobe * numAxes + bin) * numCells;

@@ -1,8 +1,8 @@
 /** Irradiance of every texel under a light: `lambent_relight.baked.light`, on the processor. */
 
+import { numShadowDirections } from "../contract/constants.js";
 import {
   type HitTransport,
-  numShadowDirections,
   type PackedTransport,
   type PlaneTable,
   tableRows,

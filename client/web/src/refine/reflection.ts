@@ -5,11 +5,8 @@
  * because this runs for every light direction.
  */
 
+import { brdfFloor, minAlpha } from "../contract/constants.js";
 import { mirrorOf, type Vector } from "./vectors.js";
-
-export const dielectricF0 = 0.04;
-export const minAlpha = 1e-4;
-const floor = 1.2e-7;
 
 /** Return the GGX width of a perceptual roughness. */
 export function alphaOf(perceptualRoughness: number): number {
@@ -19,12 +16,12 @@ export function alphaOf(perceptualRoughness: number): number {
 /** Return the Trowbridge-Reitz density D(h), 1/sr, from cos^2 and sin^2 of the angle to the normal. */
 export function ggxDensity(cosineSquared: number, sineSquared: number, alpha: number): number {
   const width = alpha * alpha;
-  return width / (Math.PI * Math.max(cosineSquared * width + sineSquared, floor * width) ** 2);
+  return width / (Math.PI * Math.max(cosineSquared * width + sineSquared, brdfFloor * width) ** 2);
 }
 
 function shadowing(cosine: number, alpha: number): number {
   const k = 0.5 * alpha;
-  return cosine / Math.max(cosine * (1 - k) + k, floor);
+  return cosine / Math.max(cosine * (1 - k) + k, brdfFloor);
 }
 
 /** Write x tangent + y bitangent + z normal; (tangent, bitangent, normal) is right-handed. */
@@ -91,9 +88,10 @@ export class Reflection {
     const nDotO = Math.max(nx * omegaO[0]! + ny * omegaO[1]! + nz * omegaO[2]!, 0);
     // cos^2 and sin^2 both: 1 - cos^2 would lose every digit of a narrow lobe.
     const density = ggxDensity(nDotH * nDotH, cx * cx + cy * cy + cz * cz, alpha);
-    this.ggxPdf = (density * nDotH) / (4 * Math.max(oDotH, floor));
+    this.ggxPdf = (density * nDotH) / (4 * Math.max(oDotH, brdfFloor));
     this.cosinePdf = nDotI / Math.PI;
-    const lobe = (density * shadowing(nDotI, alpha) * shadowing(nDotO, alpha)) / (4 * Math.max(nDotO, floor));
+    const lobe =
+      (density * shadowing(nDotI, alpha) * shadowing(nDotO, alpha)) / (4 * Math.max(nDotO, brdfFloor));
     const fresnel = (1 - oDotH) ** 5;
     this.specular = lobe * (1 - fresnel);
     this.grazing = lobe * fresnel;

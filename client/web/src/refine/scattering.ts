@@ -5,8 +5,9 @@
  * times the mirror lobe. It is weighted by one over the density of their mixture: Veach's balance heuristic.
  */
 
+import { dielectricF0 } from "../contract/constants.js";
 import { cosineLobe, type LightSampler, lobeOfAlpha, tableRow } from "./lightSampler.js";
-import { cosineSample, dielectricF0, ggxSample, Reflection } from "./reflection.js";
+import { cosineSample, ggxSample, Reflection } from "./reflection.js";
 import type { SurfacePoints } from "./surfacePoints.js";
 import { mirrorOf, readVector, type Rotation, rotated, vector } from "./vectors.js";
 

@@ -12,14 +12,16 @@ import {
   type WebGLRenderer,
   type WebGLRenderTarget,
 } from "three";
-import { coverVertex } from "./glsl.js";
+import { type Macros, shader } from "./shaders.js";
+import cover from "./shaders/cover.vert.glsl?raw";
 
-/** Return a program that writes every pixel of a target; the uniforms that it declares are yet to be given. */
-export function screenProgram(fragmentShader: string): RawShaderMaterial {
+/** Return a program that writes every pixel of a target; the uniforms that its parts declare are yet to be given. */
+export function screenProgram(parts: readonly string[], macros: Macros = {}): RawShaderMaterial {
+  const fragmentShader = shader(parts, macros);
   const names = [...fragmentShader.matchAll(/uniform \w+ (\w+)/g)].map(([, name]) => name!);
   return new RawShaderMaterial({
     glslVersion: GLSL3,
-    vertexShader: coverVertex,
+    vertexShader: shader([cover]),
     fragmentShader,
     uniforms: Object.fromEntries(names.map((name) => [name, { value: null }])),
     depthTest: false,

@@ -31,10 +31,14 @@ import type { Direction } from "../engine/environment.js";
 import { maxDominant } from "../light/prepare.js";
 import { ballOf } from "./ball.js";
 import { type FullScreen, screenProgram, setUniforms } from "./fullScreen.js";
-import { header } from "./glsl.js";
 import { discDirections, type GroundLight, numSky, skyDirections } from "./groundLight.js";
 import type { CastLights } from "./shadowMaps.js";
 import type { Look, Method } from "./looks.js";
+import { shader } from "./shaders.js";
+import castFragment from "./shaders/groundCast.frag.glsl?raw";
+import castVertex from "./shaders/groundCast.vert.glsl?raw";
+import sharesFragment from "./shaders/groundShares.frag.glsl?raw";
+import skyFragment from "./shaders/groundSky.frag.glsl?raw";
 import { halfFloatTarget } from "./targets.js";
 
 /** Half the side of the square of ground that is drawn, in radii of the object's box. */
@@ -42,6 +46,7 @@ export const reachInRadii = 2.5;
 const tilesAcross = Math.sqrt(numSky);
 const skySide = 128;
 const lightSide = 512;
+const sides = { NUM_SKY: numSky, TILES_ACROSS: tilesAcross, SKY_SIDE: skySide, LIGHT_SIDE: lightSide };
 /** Directions inside a light, in motion and at rest; shares of them are whole steps of a byte. */
 const discSamples = { moving: 5, still: 15 } as const;
 
@@ -68,65 +73,6 @@ export function groundUnder(low: readonly number[], high: readonly number[], hei
   return { centre: [centre[0]!, centre[1]!], height, reach: reachInRadii * radius };
 }
 
-const castVertex = `${header}
-in vec3 position;
-uniform vec4 place;
-uniform vec2 slope;
-uniform float layer;
-out float above;
-void main() {
-  above = position.z - place.z;
-  vec2 shadow = position.xy - slope * (position.z - place.z);
-  gl_Position = vec4((shadow - place.xy) / place.w, layer, 1.0);
-}`;
-
-const castFragment = `${header}
-in float above;
-out vec4 result;
-uniform float share;
-void main() {
-  // What lies under the ground throws no shadow onto it.
-  if (above < 0.0) discard;
-  result = vec4(share);
-}`;
-
-/** Light of the sky that is kept away. */
-const skyProgram = `${header}
-uniform sampler2D tiles;
-uniform sampler2D skyLight;
-out vec4 result;
-void main() {
-  ivec2 at = ivec2(gl_FragCoord.xy);
-  vec3 sum = vec3(0.0);
-  for (int index = 0; index < ${numSky}; index++) {
-    ivec2 tile = ivec2(index % ${tilesAcross}, index / ${tilesAcross}) * ${skySide};
-    sum += texelFetch(tiles, tile + at, 0).r * texelFetch(skyLight, ivec2(index, 0), 0).rgb;
-  }
-  result = vec4(sum, 0.0);
-}`;
-
-/** Shares of red, green, blue and luminance that are kept away. */
-const shareProgram = `${header}
-uniform sampler2D sky;
-uniform sampler2D lights;
-uniform vec3 lightsRgb[${maxDominant}];
-uniform int numLights;
-uniform vec3 whole;
-out vec4 result;
-void main() {
-  vec2 at = gl_FragCoord.xy / ${lightSide.toFixed(1)};
-  // Four bilinear looks around the point hide the steps between the tiles' pixels.
-  vec2 step = vec2(${(0.5 / skySide).toFixed(8)}, ${(-0.5 / skySide).toFixed(8)});
-  vec3 blocked = 0.25 * (texture(sky, at + step.xx).rgb + texture(sky, at + step.xy).rgb
-    + texture(sky, at + step.yx).rgb + texture(sky, at + step.yy).rgb);
-  for (int light = 0; light < numLights; light++) {
-    ivec2 tile = ivec2(light % 2, light / 2) * ${lightSide};
-    blocked += texelFetch(lights, tile + ivec2(gl_FragCoord.xy), 0).r * lightsRgb[light];
-  }
-  vec3 weights = vec3(0.2126, 0.7152, 0.0722);
-  result = clamp(vec4(blocked / max(whole, 1e-20), dot(blocked, weights) / max(dot(whole, weights), 1e-20)), 0.0, 1.0);
-}`;
-
 function bytes(side: number, depthBuffer: boolean): WebGLRenderTarget {
   return new WebGLRenderTarget(side, side, {
     format: RedFormat,
@@ -143,8 +89,8 @@ export class Ground {
   readonly #lights = bytes(2 * lightSide, true);
   readonly #sky = halfFloatTarget(skySide, skySide, LinearFilter);
   readonly #skyLight = new DataTexture(new Float32Array(4 * numSky), numSky, 1, RGBAFormat, FloatType);
-  readonly #skyPass = screenProgram(skyProgram);
-  readonly #sharePass = screenProgram(shareProgram);
+  readonly #skyPass = screenProgram([skyFragment], sides);
+  readonly #sharePass = screenProgram([sharesFragment], sides);
   readonly #cast: RawShaderMaterial;
   readonly #scene = new Scene();
   readonly #camera = new Camera();
@@ -158,8 +104,8 @@ export class Ground {
     const { centre, height, reach } = place;
     this.#cast = new RawShaderMaterial({
       glslVersion: GLSL3,
-      vertexShader: castVertex,
-      fragmentShader: castFragment,
+      vertexShader: shader([castVertex]),
+      fragmentShader: shader([castFragment]),
       uniforms: {
         place: { value: [...centre, height, reach] },
         slope: { value: [0, 0] },

@@ -10,58 +10,11 @@ import { LinearFilter, type RawShaderMaterial, type Texture, type WebGLRenderTar
 import { tableWidth } from "../bundle/transport.js";
 import { bouncedCoefficients, type FallingLight, sumFactors } from "../engine/fallingLight.js";
 import { maxDominant } from "../light/prepare.js";
-import { header, tables } from "./glsl.js";
 import { type FullScreen, screenProgram, setUniforms } from "./fullScreen.js";
+import planeSum from "./shaders/planeSum.frag.glsl?raw";
+import spread from "./shaders/spread.frag.glsl?raw";
 import { halfFloatTarget } from "./targets.js";
 import type { BundleTextures } from "./textures.js";
-
-function planeSum(layers: number): string {
-  return `
-uniform isampler2DArray planes;
-uniform vec4 red[${layers}];
-uniform vec4 green[${layers}];
-uniform vec4 blue[${layers}];
-uniform vec3 base;
-vec3 planeSum(ivec2 where) {
-  vec3 sum = base;
-  for (int layer = 0; layer < ${layers}; layer++) {
-    vec4 q = vec4(texelFetch(planes, ivec3(where, layer), 0));
-    sum += vec3(dot(q, red[layer]), dot(q, green[layer]), dot(q, blue[layer]));
-  }
-  return sum;
-}
-`;
-}
-
-/** Sums of planes; the openness beside direct ones. */
-function program(layers: number, kind: "direct" | "indirect"): string {
-  const open =
-    "clamp((constant.x + constant.y * float(texelFetch(planes, ivec3(where, 0), 0).r)) / (0.5 * sqrt(pi)), 0.0, 1.0)";
-  return `${header}${planeSum(layers)}
-out vec4 result;
-uniform vec2 constant;
-void main() {
-  ivec2 where = ivec2(gl_FragCoord.xy);
-  result = vec4(planeSum(where), ${kind === "indirect" ? "1.0" : open});
-}`;
-}
-
-/** From tables to the atlas: openness beside direct light, the factor to the surroundings' radiance beside indirect. */
-const spreadProgram = `${header}${tables}
-layout(location = 0) out vec4 straight;
-layout(location = 1) out vec4 again;
-uniform usampler2D texelPlane;
-uniform usampler2D blocksAround;
-uniform sampler2D direct;
-uniform sampler2D indirect;
-vec3 block(uint index) { return texelFetch(indirect, placeOf(index), 0).rgb; }
-void main() {
-  ivec2 where = placeOf(texelFetch(texelPlane, ivec2(gl_FragCoord.xy), 0).r);
-  straight = texelFetch(direct, where, 0);
-  uvec4 around = texelFetch(blocksAround, where, 0);
-  again.rgb = 0.5625 * block(around.x) + 0.1875 * (block(around.y) + block(around.z)) + 0.0625 * block(around.w);
-  again.a = 1.0 / (pi * max(1.0 - straight.a, 0.05));
-}`;
 
 /** Draws irradiance of one object. */
 export class IrradiancePasses {
@@ -77,9 +30,9 @@ export class IrradiancePasses {
       direct: halfFloatTarget(tableWidth, direct.rows),
       indirect: halfFloatTarget(tableWidth, indirect.rows),
     };
-    this.#direct = screenProgram(program(direct.layers, "direct"));
-    this.#indirect = screenProgram(program(indirect.layers, "indirect"));
-    this.#spread = screenProgram(spreadProgram);
+    this.#direct = screenProgram([planeSum], { LAYERS: direct.layers, IS_DIRECT: "true" });
+    this.#indirect = screenProgram([planeSum], { LAYERS: indirect.layers, IS_DIRECT: "false" });
+    this.#spread = screenProgram([spread]);
     setUniforms(this.#direct, { planes: textures.direct, constant: [direct.offsets[0]!, direct.scales[0]!] });
     setUniforms(this.#indirect, { planes: textures.indirect });
     setUniforms(this.#spread, {

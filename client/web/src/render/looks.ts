@@ -23,6 +23,16 @@ export type ToneCurve = keyof typeof toneCurves;
 export const backgrounds = { transparent: 0, colour: 1, environment: 2, blurred: 3 } as const;
 export type BackgroundKind = keyof typeof backgrounds;
 
+/** What the last pass writes. */
+export const outputs = {
+  /** sRGB-encoded, multiplied by alpha: for the canvas. */
+  canvas: 0,
+  /** sRGB-encoded, straight alpha: for PNG. */
+  straight: 1,
+  /** Linear radiance with exposure, multiplied by alpha: for EXR. */
+  linear: 2,
+} as const;
+
 /** Red, green, blue. */
 export type Rgb = readonly [number, number, number];
 

@@ -21,35 +21,14 @@ import {
   type WebGLRenderer,
   WebGLRenderTarget,
 } from "three";
+import { shadowMapSide } from "../contract/constants.js";
 import type { Direction } from "../engine/environment.js";
 import { maxDominant } from "../light/prepare.js";
 import type { Ball } from "./ball.js";
 import { setUniforms } from "./fullScreen.js";
-import { header } from "./glsl.js";
-
-/** Texels along a side of a map; maps of four lights lie two by two in one texture. */
-export const mapSide = 1024;
-const [blockerTaps, filterTaps] = [12, 16];
-/** Texels over which the border of a shadow is smoothed at least. */
-const leastRadius = 1.25;
-/** Texels of depth that a blocker is nearer to the light at least. */
-const bias = 1.5;
-/** Steeper planes than this are taken to be this steep. */
-const leastCosine = 0.08;
-
-const castVertex = `${header}
-in vec3 position;
-uniform mat3 axes;
-uniform vec3 ballCentre;
-uniform float ballRadius;
-void main() {
-  vec3 place = (position - ballCentre) * axes / ballRadius;
-  gl_Position = vec4(place.xy, -place.z, 1.0);
-}`;
-
-const castFragment = `${header}
-out vec4 result;
-void main() { result = vec4(0.0); }`;
+import { shader } from "./shaders.js";
+import castFragment from "./shaders/shadowCast.frag.glsl?raw";
+import castVertex from "./shaders/shadowCast.vert.glsl?raw";
 
 /** Return two unit vectors across a direction, and itself. */
 export function lightAxes(direction: Direction): readonly [Direction, Direction, Direction] {
@@ -71,7 +50,7 @@ export type CastLights = {
   readonly radiiRad: readonly number[];
 };
 
-/** Draws the maps of one object. */
+/** Draws the maps of one object; maps of four lights lie two by two in one texture. */
 export class ShadowCaster {
   readonly #cast: RawShaderMaterial;
   readonly #scene = new Scene();
@@ -83,8 +62,8 @@ export class ShadowCaster {
   ) {
     this.#cast = new RawShaderMaterial({
       glslVersion: GLSL3,
-      vertexShader: castVertex,
-      fragmentShader: castFragment,
+      vertexShader: shader([castVertex]),
+      fragmentShader: shader([castFragment]),
       uniforms: {
         axes: { value: null },
         ballCentre: { value: ball.centre },
@@ -108,7 +87,12 @@ export class ShadowCaster {
     renderer.setRenderTarget(target);
     renderer.clear();
     directions.slice(0, maxDominant).forEach((direction, light) => {
-      target.viewport.set((light % 2) * mapSide, (light >> 1) * mapSide, mapSide, mapSide);
+      target.viewport.set(
+        (light % 2) * shadowMapSide,
+        (light >> 1) * shadowMapSide,
+        shadowMapSide,
+        shadowMapSide,
+      );
       // A vector times the matrix is its products with the columns.
       setUniforms(this.#cast, { axes: lightAxes(direction).flat() });
       this.#cast.uniformsNeedUpdate = true;
@@ -117,7 +101,7 @@ export class ShadowCaster {
     });
   }
 
-  /** Return the uniforms of `shadowLook`. */
+  /** Return the uniforms of shadowShare.glsl. */
   uniforms({ directions, radiiRad }: CastLights, maps: ShadowMaps | null): Record<string, unknown> {
     const [right, up] = [new Float32Array(3 * maxDominant), new Float32Array(3 * maxDominant)];
     const tangents = new Float32Array(maxDominant);
@@ -143,7 +127,7 @@ export class ShadowMaps {
   readonly target: WebGLRenderTarget;
 
   constructor() {
-    const side = 2 * mapSide;
+    const side = 2 * shadowMapSide;
     const depths = new DepthTexture(side, side, UnsignedIntType);
     depths.minFilter = NearestFilter;
     depths.magFilter = NearestFilter;
@@ -159,54 +143,3 @@ export class ShadowMaps {
     this.target.dispose();
   }
 }
-
-/** The share of a dominant light that reaches a point which faces it; needs the uniforms of `glsl.glints`. */
-export const shadowLook = `
-uniform sampler2D shadowDepths;
-uniform vec3 lightRight[${maxDominant}];
-uniform vec3 lightUp[${maxDominant}];
-uniform float lightTangents[${maxDominant}];
-uniform vec3 ballCentre;
-uniform float ballRadius;
-float depthAt(int light, vec2 place) {
-  ivec2 at = clamp(ivec2((place + 1.0) * ${(0.5 * mapSide).toFixed(1)}), ivec2(0), ivec2(${mapSide - 1}));
-  return texelFetch(shadowDepths, at + ivec2(light % 2, light / 2) * ${mapSide}, 0).r;
-}
-vec2 tap(int index, float count, float turn) {
-  float angle = float(index) * ${(Math.PI * (3 - Math.sqrt(5))).toFixed(9)} + turn;
-  return sqrt((float(index) + 0.5) / count) * vec2(cos(angle), sin(angle));
-}
-/** Interleaved gradient noise, as a turn of the pattern of comparisons. */
-float patternTurn(vec2 sampleFromTop) {
-  return 2.0 * pi * fract(52.9829189 * fract(0.06711056 * sampleFromTop.x + 0.00583715 * sampleFromTop.y));
-}
-float shadowShare(int light, vec3 position, vec3 n, float turn) {
-  const float texel = ${(2 / mapSide).toFixed(9)};
-  const float least = ${leastRadius} * texel;
-  vec3 right = lightRight[light], up = lightUp[light], towards = lightDirections[light];
-  vec3 from = (position - ballCentre) / ballRadius;
-  vec2 place = vec2(dot(from, right), dot(from, up));
-  float height = dot(from, towards);
-  float cosine = dot(n, towards);
-  float steep = max(cosine, ${leastCosine});
-  vec2 slope = 0.5 / steep * vec2(dot(n, right), dot(n, up));
-  float own = 0.5 - 0.5 * height - ${(0.5 * bias).toFixed(2)} * texel * (1.0 + (1.0 - cosine) / steep);
-  float reach = max(lightTangents[light] * (1.0 - height), least);
-  float count = 0.0, width = 0.0;
-  for (int index = 0; index < ${blockerTaps}; index++) {
-    vec2 away = reach * tap(index, ${blockerTaps}.0, turn);
-    float gap = own + dot(slope, away) - depthAt(light, place + away);
-    count += gap > 0.0 ? 1.0 : 0.0;
-    width += max(gap, 0.0);
-  }
-  if (count == 0.0) return 1.0;
-  if (count == ${blockerTaps}.0) return 0.0;
-  float spread = min(max(2.0 * lightTangents[light] * width / count, least), reach);
-  float free = 0.0;
-  for (int index = 0; index < ${filterTaps}; index++) {
-    vec2 away = spread * tap(index, ${filterTaps}.0, turn);
-    free += own + dot(slope, away) <= depthAt(light, place + away) ? 1.0 : 0.0;
-  }
-  return free / ${filterTaps}.0;
-}
-`;

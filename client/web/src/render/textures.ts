@@ -1,5 +1,6 @@
 /** A bundle's tables as textures. */
 
+import { numLobeSteps, splitSumSide } from "../contract/constants.js";
 import {
   ByteType,
   Data3DTexture,
@@ -22,8 +23,7 @@ import {
 import type { MaterialMaps } from "../bundle/load.js";
 import type { UncertaintyGrid } from "../bundle/uncertainty.js";
 import { type FinerTables, type PackedTransport, type PlaneTable, tableWidth } from "../bundle/transport.js";
-import { ggxBands, numLobeSteps } from "../engine/lobes.js";
-import { tableSide } from "../engine/splitSum.js";
+import { ggxBands } from "../engine/lobes.js";
 import type { PreparedLight } from "../light/prepare.js";
 
 /** Most looks along the longer side of a pixel's footprint. */
@@ -199,7 +199,7 @@ function gridTexture(grid: UncertaintyGrid): Data3DTexture {
 
 /** Return the split-sum table: roughness across, the cosine's root down. */
 export function splitSumTexture(table: Float32Array<ArrayBuffer>): DataTexture {
-  return ready(new DataTexture(table, tableSide, tableSide, RGFormat, FloatType), "RG32F");
+  return ready(new DataTexture(table, splitSumSide, splitSumSide, RGFormat, FloatType), "RG32F");
 }
 
 /** Return the levels of a light. */

@@ -1,0 +1,3 @@
+// A triangle that covers the picture; no attributes but `position`.
+in vec3 position;
+void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }
