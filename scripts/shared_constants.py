@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 
 SHARED: dict[str, dict[str, str]] = {
-    "brdf": {"DIELECTRIC_F0": "", "MIN_ALPHA": "", "_FLOOR": "BRDF_FLOOR"},
+    "brdf": {"DIELECTRIC_F0": "", "MIN_ALPHA": "", "FLOOR": "BRDF_FLOOR"},
     "baked.split_sum": {
         "TABLE_SIDE": "SPLIT_SUM_SIDE",
         "_POLAR": "SPLIT_SUM_POLAR",

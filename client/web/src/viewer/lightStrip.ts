@@ -39,6 +39,29 @@ export function lightStrip(viewer: Viewer, act: StripActions, signal: AbortSigna
     event.stopPropagation();
     open(false);
   });
+  hearKeys(row);
+
+  let listed = "";
+  let lights: readonly string[] = [];
+  const show = (): void => {
+    const named = lightTexts(viewer);
+    const key = JSON.stringify(named);
+    if (key !== listed) {
+      listed = key;
+      lights = named.map(([light]) => light);
+      row.replaceChildren(...chipsFor(named, chips, act.choose), add);
+    }
+    press(row, chips, viewer.state.environment);
+  };
+  const paint = painter(viewer, chips, () => lights, signal);
+  // The picture that someone waits for comes first.
+  const stop = viewer.on("draw", () => void paint());
+  signal.addEventListener("abort", stop);
+  return { element, row: line, show };
+}
+
+/** Move the focus along the row by arrows: one button of it is reached by Tab, the others from it. */
+function hearKeys(row: HTMLElement): void {
   row.addEventListener("keydown", (event) => {
     const all = [...row.querySelectorAll("button")];
     const at = all.indexOf(event.target as HTMLButtonElement);
@@ -47,53 +70,56 @@ export function lightStrip(viewer: Viewer, act: StripActions, signal: AbortSigna
     event.preventDefault();
     all.at(next % all.length)!.focus();
   });
-  // One button of the row is reached by Tab, the others from it by arrows.
   row.addEventListener("focusin", (event) => {
     for (const each of row.querySelectorAll("button")) each.tabIndex = each === event.target ? 0 : -1;
   });
+}
 
-  function chipOf(light: string): Chip {
-    const known = chips.get(light);
-    if (known !== undefined) return known;
-    const picture = make("canvas", { width: side, height: side, ariaHidden: "true" });
-    const made = make("button", { type: "button", className: "chip" }, picture, make("span"));
-    made.addEventListener("click", () => act.choose(light));
-    const chip = { element: made, picture, key: "" };
-    chips.set(light, chip);
-    return chip;
-  }
-
-  let listed = "";
-  let lights: readonly string[] = [];
-  function show(): void {
-    const { environment } = viewer.state;
-    const named = lightTexts(viewer);
-    const key = JSON.stringify(named);
-    if (key !== listed) {
-      listed = key;
-      lights = named.map(([light]) => light);
-      for (const name of [...chips.keys()]) if (!lights.includes(name)) chips.delete(name);
-      row.replaceChildren(...lights.map((light) => chipOf(light).element), add);
-      for (const [light, text] of named) {
-        const { element: chip } = chipOf(light);
-        chip.querySelector("span")!.textContent = text;
-        chip.title = text;
-      }
+/** Return the buttons of lights, with their names; those that are gone are forgotten. */
+function chipsFor(
+  named: readonly (readonly [light: string, text: string])[],
+  chips: Map<string, Chip>,
+  choose: (light: string) => void,
+): HTMLButtonElement[] {
+  const lights = new Set(named.map(([light]) => light));
+  for (const light of [...chips.keys()]) if (!lights.has(light)) chips.delete(light);
+  return named.map(([light, text]) => {
+    let chip = chips.get(light);
+    if (chip === undefined) {
+      const picture = make("canvas", { width: side, height: side, ariaHidden: "true" });
+      const element = make("button", { type: "button", className: "chip" }, picture, make("span"));
+      element.addEventListener("click", () => choose(light));
+      chip = { element, picture, key: "" };
+      chips.set(light, chip);
     }
-    for (const [light, { element: chip }] of chips) {
-      const pressed = light === environment;
-      if (chip.ariaPressed === String(pressed)) continue;
-      chip.ariaPressed = String(pressed);
-      if (pressed && !row.contains(deepFocus(row))) {
-        for (const each of row.querySelectorAll("button")) each.tabIndex = each === chip ? 0 : -1;
-        scrollTo(row, chip);
-      }
+    chip.element.querySelector("span")!.textContent = text;
+    chip.element.title = text;
+    return chip.element;
+  });
+}
+
+/** Mark the light that is shown; the row follows it unless someone is on the row. */
+function press(row: HTMLElement, chips: ReadonlyMap<string, Chip>, environment: string): void {
+  for (const [light, { element }] of chips) {
+    const pressed = light === environment;
+    if (element.ariaPressed === String(pressed)) continue;
+    element.ariaPressed = String(pressed);
+    if (pressed && !row.contains(deepFocus(row))) {
+      for (const each of row.querySelectorAll("button")) each.tabIndex = each === element ? 0 : -1;
+      scrollTo(row, element);
     }
   }
+}
 
+/** Return what makes missing pictures, one after another, so that a chosen light waits for one of them at most. */
+function painter(
+  viewer: Viewer,
+  chips: ReadonlyMap<string, Chip>,
+  lights: () => readonly string[],
+  signal: AbortSignal,
+): () => Promise<void> {
   let working = false;
-  /** Make the pictures that are missing, one after another, so that a chosen light waits for one of them at most. */
-  async function paint(): Promise<void> {
+  return async () => {
     if (working) return;
     working = true;
     const keyOf = (light: string): string => {
@@ -102,7 +128,7 @@ export function lightStrip(viewer: Viewer, act: StripActions, signal: AbortSigna
     };
     try {
       for (;;) {
-        const light = lights.find((each) => chips.get(each)?.key !== keyOf(each));
+        const light = lights().find((each) => chips.get(each)?.key !== keyOf(each));
         const chip = light === undefined ? undefined : chips.get(light);
         if (light === undefined || chip === undefined) return;
         if (signal.aborted || viewer.bundle === null) return;
@@ -115,11 +141,7 @@ export function lightStrip(viewer: Viewer, act: StripActions, signal: AbortSigna
     } finally {
       working = false;
     }
-  }
-  // The picture that someone waits for comes first.
-  const stop = viewer.on("draw", () => void paint());
-  signal.addEventListener("abort", stop);
-  return { element, row: line, show };
+  };
 }
 
 function addForm(act: StripActions, done: () => void): HTMLElement {
