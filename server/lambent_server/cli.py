@@ -140,6 +140,8 @@ def keys(
     from lambent_server.accounts import audit
     from lambent_server.accounts import keys as key_rows
     from lambent_server.accounts.who import operator
+    from lambent_server.database.model import KeyRow
+    from lambent_server.database.rows import many
     from lambent_server.database.schema import api_keys
     from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant, rows
 
@@ -151,9 +153,8 @@ def keys(
         opened.write() as connection,
     ):
         if action is KeyAction.LIST:
-            newest_first = rows(tenant, api_keys).order_by(api_keys.c.id.desc())
-            for each in connection.execute(newest_first).mappings():
-                row = key_rows.show(dict(each))
+            for each in many(connection, rows(tenant, api_keys).order_by(api_keys.c.id.desc()), KeyRow):
+                row = key_rows.show(each)
                 ends = f"revoked {row.revoked_at}" if row.revoked_at else row.expires_at or "no end"
                 typer.echo("\t".join((row.id, row.name, row.created_at, row.last_used_at or "unused", ends)))
             return

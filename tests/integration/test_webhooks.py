@@ -16,7 +16,7 @@ from lambent_server.cluster.wakeups import Wakeups
 from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
 from lambent_server.services import Services
-from lambent_server.webhooks.claims import Outcome, claim, lease_s, settle
+from lambent_server.webhooks.claims import Claimed, Outcome, claim, lease_s, settle
 from lambent_server.webhooks.places import Places
 from lambent_server.webhooks.sender import Sender
 from support.api import Api, expect, opened
@@ -136,7 +136,7 @@ def test_a_claim_is_given_to_one_and_again_only_when_it_has_ended(
         settings: Settings = api.services.settings
         four = settings.model_copy(update={"webhook_concurrency": 4, "tenant_share": 1.0})
 
-        def take(_: int) -> list[dict[str, Any]]:
+        def take(_: int) -> list[Claimed]:
             with contextlib.closing(Database(settings.database_url)) as own:
                 return claim(own, settings, Places(four))
 
@@ -144,11 +144,11 @@ def test_a_claim_is_given_to_one_and_again_only_when_it_has_ended(
             claimed = [row for rows in pool.map(take, range(6)) for row in rows]
         while rows := take(0):
             claimed += rows
-        assert sorted(row["id"] for row in claimed) == ids
+        assert sorted(row.id for row in claimed) == ids
         late = time.time() + lease_s(settings) + 1.0
         monkeypatch.setattr("lambent_server.webhooks.claims.now", lambda: late)
         (again, *_) = claim(api.services.database, settings, Places(four))
-        first = next(row for row in claimed if row["id"] == again["id"])
+        first = next(row for row in claimed if row.id == again.id)
         # The first one comes back after all: what it says no longer counts.
         assert settle(api.services.database, settings, first, Outcome(status=410, error="status")) is None
         assert settle(api.services.database, settings, again, Outcome(status=200)) == "delivered"

@@ -85,7 +85,7 @@ def works(client: TestClient) -> bool:
 
 def browser_of_eve(api: Api, lifetime_s: float = 60.0) -> TestClient:
     with api.services.database.write() as connection:
-        token = open_session(connection, TENANT, lifetime_s, users.require(connection, EVE)["id"])
+        token = open_session(connection, TENANT, lifetime_s, users.require(connection, EVE).id)
     return with_cookie(api, token)
 
 

@@ -8,17 +8,19 @@ Call `record` as the last thing in a transaction: until it ends, no other entry 
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from pydantic import JsonValue
-from sqlalchemy import Connection, RowMapping, select
+from sqlalchemy import Connection, select
 
 from lambent_server.accounts.who import Who
 from lambent_server.api.problems import Problem
 from lambent_server.core.clock import now
+from lambent_server.database.model import AuditHeadRow, AuditRow
 from lambent_server.database.people_schema import audit_entries, audit_heads, audit_permits
 from lambent_server.database.people_schema import organisations as organisation_rows
+from lambent_server.database.rows import many, one
 from lambent_server.database.tenancy import Tenant, add, add_if_absent, change, remove, rows
 
 DONE = "done"
@@ -58,7 +60,7 @@ def record(
     """
     head = _lock_head(connection, who.tenant)
     _require_open(connection, who)
-    number = head["number"] + 1
+    number = head.number + 1
     entry: dict[str, Any] = {
         "number": number,
         "at": now(),
@@ -71,7 +73,7 @@ def record(
         "outcome": outcome,
         "details": json.dumps(details or {}, sort_keys=True, separators=(",", ":")),
     }
-    digest = _digest(head["hash"], who.tenant, entry)
+    digest = _digest(head.hash, who.tenant, entry)
     connection.execute(add(who.tenant, audit_entries, id=entry_id(number), hash=digest, **entry))
     connection.execute(change(who.tenant, audit_heads).values(number=number, hash=digest))
 
@@ -104,14 +106,14 @@ def _require_open(connection: Connection, who: Who) -> None:
         )
 
 
-def _lock_head(connection: Connection, tenant: Tenant) -> RowMapping:
+def _lock_head(connection: Connection, tenant: Tenant) -> AuditHeadRow:
     """Return the head of a chain, locked until the end of the transaction; made if there is none."""
     statement = rows(tenant, audit_heads).with_for_update()
-    found = connection.execute(statement).mappings().one_or_none()
+    found = one(connection, statement, AuditHeadRow)
     if found is None:
         empty = {"number": 0, "hash": "", "removed_number": 0, "removed_hash": ""}
         add_if_absent(connection, tenant, audit_heads, **empty)
-        found = connection.execute(statement).mappings().one()
+        (found,) = many(connection, statement, AuditHeadRow)
     return found
 
 
@@ -125,45 +127,45 @@ def verify(connection: Connection, tenant: Tenant) -> Verdict:
 
     In `Database.snapshot`: what is added or pruned meanwhile would look like tampering.
     """
-    head = connection.execute(rows(tenant, audit_heads)).mappings().one_or_none()
-    number = 0 if head is None else head["removed_number"]
-    digest = "" if head is None else head["removed_hash"]
+    head = one(connection, rows(tenant, audit_heads), AuditHeadRow)
+    number = 0 if head is None else head.removed_number
+    digest = "" if head is None else head.removed_hash
     num_entries = 0
     for entry in entries(connection, tenant):
         number += 1
         problem = ""
-        if entry["number"] != number or entry["id"] != entry_id(number):
-            problem = f"entry {number} is missing: {entry['id']} follows the one before"
-        elif entry["hash"] != (digest := _digest(digest, tenant, entry)):
-            problem = f"entry {entry['id']} was changed, or one before it"
+        if entry.number != number or entry.id != entry_id(number):
+            problem = f"entry {number} is missing: {entry.id} follows the one before"
+        elif entry.hash != (digest := _digest(digest, tenant, asdict(entry))):
+            problem = f"entry {entry.id} was changed, or one before it"
         if problem:
             return Verdict(num_entries=num_entries, number=number, hash=digest, problem=problem)
         num_entries += 1
-    known = (0, "") if head is None else (head["number"], head["hash"])
+    known = (0, "") if head is None else (head.number, head.hash)
     problem = "" if known == (number, digest) else f"the entries after {entry_id(number)} are missing"
     return Verdict(num_entries=num_entries, number=number, hash=digest, problem=problem)
 
 
-def entries(connection: Connection, tenant: Tenant) -> Iterator[RowMapping]:
+def entries(connection: Connection, tenant: Tenant) -> Iterator[AuditRow]:
     """Yield the entries of an organisation, oldest first, a thousand at a time from the database."""
     last = ""
     while True:
         some = rows(tenant, audit_entries).where(audit_entries.c.id > last).order_by(audit_entries.c.id)
-        found = connection.execute(some.limit(_BATCH)).mappings().all()
+        found = many(connection, some.limit(_BATCH), AuditRow)
         if not found:
             return
         yield from found
-        last = found[-1]["id"]
+        last = found[-1].id
 
 
 def num_before(connection: Connection, tenant: Tenant, before: float) -> int:
     """Return how many of the oldest entries are from before a time: those up to the first that is not."""
     later = rows(tenant, audit_entries, audit_entries.c.number).where(audit_entries.c.at >= before)
     first = connection.execute(later.order_by(audit_entries.c.number).limit(1)).scalar_one_or_none()
-    head = connection.execute(rows(tenant, audit_heads)).mappings().one_or_none()
+    head = one(connection, rows(tenant, audit_heads), AuditHeadRow)
     if head is None:
         return 0
-    return int((head["number"] if first is None else first - 1) - head["removed_number"])
+    return int((head.number if first is None else first - 1) - head.removed_number)
 
 
 def remove_before(connection: Connection, tenant: Tenant, before: float) -> int:
@@ -173,7 +175,7 @@ def remove_before(connection: Connection, tenant: Tenant, before: float) -> int:
     num_entries = num_before(connection, tenant, before)
     if num_entries == 0:
         return 0
-    up_to = head["removed_number"] + num_entries
+    up_to = head.removed_number + num_entries
     last = rows(tenant, audit_entries, audit_entries.c.hash).where(audit_entries.c.number == up_to)
     digest = connection.execute(last).scalar_one()
     _remove_up_to(connection, tenant, up_to)
@@ -183,7 +185,7 @@ def remove_before(connection: Connection, tenant: Tenant, before: float) -> int:
 
 def remove_all(connection: Connection, tenant: Tenant) -> None:
     """Remove the whole log of an organisation that is deleted."""
-    _remove_up_to(connection, tenant, _lock_head(connection, tenant)["number"])
+    _remove_up_to(connection, tenant, _lock_head(connection, tenant).number)
     connection.execute(remove(tenant, audit_heads))
 
 
@@ -201,8 +203,8 @@ def contains(connection: Connection, tenant: Tenant, noted: str) -> bool:
     entry = rows(tenant, audit_entries, audit_entries.c.hash).where(audit_entries.c.number == int(number))
     if connection.execute(entry).scalar_one_or_none() == digest:
         return True
-    head = connection.execute(rows(tenant, audit_heads)).mappings().one_or_none()
-    return head is not None and (head["removed_number"], head["removed_hash"]) == (int(number), digest)
+    head = one(connection, rows(tenant, audit_heads), AuditHeadRow)
+    return head is not None and (head.removed_number, head.removed_hash) == (int(number), digest)
 
 
 def tenants(connection: Connection) -> list[Tenant]:

@@ -1,9 +1,9 @@
 """Keys for programs: creating, listing, revoking and replacing them. Only their hashes are stored."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+from lambent_core.pictures import Name
 from pydantic import Field
 from sqlalchemy import Connection, func
 
@@ -12,19 +12,21 @@ from lambent_server.accounts.makers import end_what_keys_made, keys_made_by, mak
 from lambent_server.accounts.scopes import ALL, ScopeName, joined, parsed
 from lambent_server.accounts.who import Who, operator
 from lambent_server.api.idempotency import made_before
-from lambent_server.api.messages import Given, Name, Shown
-from lambent_server.api.problems import Problem, conflict, invalid, not_found
+from lambent_server.api.messages import Given, Shown
+from lambent_server.api.problems import Problem, conflict, invalid
+from lambent_server.api.resources import require
 from lambent_server.cluster.membership import server_id
 from lambent_server.cluster.shared_secrets import WORKER, lock
 from lambent_server.core.clock import new_id, now, rfc3339
 from lambent_server.core.secrets import new_secret, read_or_create, sha256_text, write_secret
 from lambent_server.database.engine import Database
+from lambent_server.database.model import KeyRow
+from lambent_server.database.rows import one
 from lambent_server.database.schema import api_keys, sessions
 from lambent_server.database.tenancy import Tenant, across_tenants, add, change, find, remove, rows
 
 FILE = "api.key"
 PREFIX = "lk_"
-Row = Mapping[str, Any]
 
 
 class NewKey(Given):
@@ -69,16 +71,19 @@ class CreatedKey(Key):
     """Null if the request is a repeat with the same Idempotency-Key: secrets are not stored."""
 
 
-def show(row: Row) -> Key:
+def show(row: KeyRow) -> Key:
     """Return a key in the form of the REST interface."""
-    times = ("expires_at", "revoked_at", "last_used_at")
-    optional = {name: None if row[name] is None else rfc3339(row[name]) for name in times}
-    whose = {
-        "scopes": sorted(parsed(row["scopes"])),
-        "user_id": row["user_id"],
-        "made_by": row["maker_key_id"] or row["maker_user_id"],
-    }
-    return Key(id=row["id"], name=row["name"], created_at=rfc3339(row["created_at"]), **optional, **whose)
+    return Key(
+        id=row.id,
+        name=row.name,
+        created_at=rfc3339(row.created_at),
+        expires_at=rfc3339(row.expires_at),
+        revoked_at=rfc3339(row.revoked_at),
+        last_used_at=rfc3339(row.last_used_at),
+        scopes=sorted(parsed(row.scopes)),
+        user_id=row.user_id,
+        made_by=row.maker_key_id or row.maker_user_id,
+    )
 
 
 def create(
@@ -111,7 +116,7 @@ def create(
     return _issue(connection, tenant, order.name, new_secret(PREFIX), **row)
 
 
-def _within(own: Row, maker: Who, order: NewKey, until: float | None) -> dict[str, Any]:
+def _within(own: KeyRow, maker: Who, order: NewKey, until: float | None) -> dict[str, Any]:
     """Return the columns of a key that the key `own` makes: nobody hands out more than they have."""
     wanted = maker.scopes if order.scopes is None else frozenset(order.scopes)
     if wanted - maker.scopes:
@@ -121,41 +126,37 @@ def _within(own: Row, maker: Who, order: NewKey, until: float | None) -> dict[st
             "scope_exceeded",
             f"this key may not do {more} itself, so it can give that to no other; ask an operator for one",
         )
-    if until is not None and own["expires_at"] is not None and until > own["expires_at"]:
+    if until is not None and own.expires_at is not None and until > own.expires_at:
         raise invalid(
             "expiry_exceeded",
             "#/expires_in_s",
-            f"the key that makes it ends at {rfc3339(own['expires_at'])}; leave this out, or ask for less",
+            f"the key that makes it ends at {rfc3339(own.expires_at)}; leave this out, or ask for less",
         )
     return {
         "scopes": joined(wanted),
-        "expires_at": own["expires_at"] if until is None else until,
-        "user_id": own["user_id"],
-        "maker_key_id": own["id"],
-        "maker_user_id": own["user_id"],
+        "expires_at": own.expires_at if until is None else until,
+        "user_id": own.user_id,
+        "maker_key_id": own.id,
+        "maker_user_id": own.user_id,
     }
 
 
 def _issue(connection: Connection, tenant: Tenant, name: str, secret: str, **values: Any) -> CreatedKey:
-    unset = ("expires_at", "scopes", "user_id", "maker_user_id", "maker_key_id")
-    row = {"id": new_id("key"), "created_at": now(), **dict.fromkeys(unset), "name": name, **values}
-    connection.execute(add(tenant, api_keys, key_sha256=sha256_text(secret), **row))
-    shown = show({**row, "revoked_at": None, "last_used_at": None})
-    return CreatedKey(**shown.model_dump(), key=secret)
+    identifier = values.pop("id", None) or new_id("key")
+    hashed = {"key_sha256": sha256_text(secret), "created_at": now()}
+    connection.execute(add(tenant, api_keys, id=identifier, name=name, **hashed, **values))
+    return CreatedKey(**show(_require(connection, tenant, identifier)).model_dump(), key=secret)
 
 
-def _require(connection: Connection, tenant: Tenant, key_id: str) -> Row:
-    row = find(connection, tenant, api_keys, key_id, lock=True)
-    if row is None:
-        raise not_found("key", key_id)
-    return dict(row)
+def _require(connection: Connection, tenant: Tenant, key_id: str) -> KeyRow:
+    return require(connection, tenant, KeyRow, "key", key_id, lock=True)
 
 
 def end_of(connection: Connection, who: Who) -> float | None:
     """Return when the key ends that makes a request, or that made the link of its browser; None if never."""
     key_id = who.maker.key_id
-    row = None if key_id is None else find(connection, who.tenant, api_keys, key_id)
-    return None if row is None else row["expires_at"]
+    row = None if key_id is None else find(connection, who.tenant, KeyRow, key_id)
+    return None if row is None else row.expires_at
 
 
 def revoke(connection: Connection, tenant: Tenant, key_id: str) -> None:
@@ -165,7 +166,7 @@ def revoke(connection: Connection, tenant: Tenant, key_id: str) -> None:
     """
     # One at a time, as all that makes keys: else a key that one of these is just making would outlive it.
     audit.lock(connection, tenant)
-    if _require(connection, tenant, key_id)["revoked_at"] is None:
+    if _require(connection, tenant, key_id).revoked_at is None:
         ended = [key_id, *keys_made_by(connection, tenant, key_id)]
         working = api_keys.c.id.in_(ended) & api_keys.c.revoked_at.is_(None)
         connection.execute(change(tenant, api_keys).where(working).values(revoked_at=now()))
@@ -186,7 +187,7 @@ def rotate(
     row = _require(connection, tenant, key_id)
     if maker is not None:
         _require_working(connection, tenant, maker)
-    if row["revoked_at"] is not None:
+    if row.revoked_at is not None:
         raise conflict("key_revoked", f"key {key_id} is revoked permanently; create another one")
     if maker is not None and maker.id not in (key_id, *makers_of_key(connection, tenant, key_id)):
         raise Problem(
@@ -195,20 +196,21 @@ def rotate(
             "whoever replaces a key gets its secret: that is for the key itself, for one that has made it, "
             "and for operators; revoke it, and let a new one be made",
         )
-    kept = {name: row[name] for name in ("expires_at", "scopes", "user_id", "maker_user_id", "maker_key_id")}
-    fresh = _issue(connection, tenant, row["name"], new_secret(PREFIX), **kept)
+    names = ("expires_at", "scopes", "user_id", "maker_user_id", "maker_key_id")
+    kept = {name: getattr(row, name) for name in names}
+    fresh = _issue(connection, tenant, row.name, new_secret(PREFIX), **kept)
     pass_on(connection, tenant, key_id, fresh.id)
-    if row["name"] == _file_name(data):
+    if row.name == _file_name(data):
         assert fresh.key is not None
         write_secret(data / FILE, fresh.key, replace=True)
     revoke(connection, tenant, key_id)
     return fresh
 
 
-def _require_working(connection: Connection, tenant: Tenant, maker: Who) -> Row:
+def _require_working(connection: Connection, tenant: Tenant, maker: Who) -> KeyRow:
     """Return the row of the key that makes a request, locked: it may have ended since it was looked at."""
     row = _require(connection, tenant, maker.id)
-    if row["revoked_at"] is not None:
+    if row.revoked_at is not None:
         raise Problem(
             401,
             "not_authenticated",
@@ -243,8 +245,8 @@ def accept_file(database: Database, tenant: Tenant, data: Path) -> bool:
             return False
         secret = read_or_create(data / FILE, lambda: new_secret(PREFIX))
         known_before = across_tenants(api_keys).where(api_keys.c.key_sha256 == sha256_text(secret))
-        row = connection.execute(known_before).mappings().one_or_none()
-        if row is not None and row["revoked_at"] is not None:
+        row = one(connection, known_before, KeyRow)
+        if row is not None and row.revoked_at is not None:
             secret, row = new_secret(PREFIX), None
             write_secret(data / FILE, secret, replace=True)
         issued = _issue(connection, tenant, name, secret).id if row is None else ""

@@ -1,14 +1,17 @@
 """What whoever made something may do now: keys, links, subscriptions and webhooks of jobs end with them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Select, Table, select, update
+from sqlalchemy import ColumnElement, Connection, Row, Select, Table, select, update
 
 from lambent_server.accounts.scopes import ALL, ScopeName, of_role, parsed
 from lambent_server.accounts.who import Maker
 from lambent_server.core.clock import now
+from lambent_server.database.model import JobRow, KeyRow, ShareRow, WebhookRow
 from lambent_server.database.people_schema import members, organisations, users
+from lambent_server.database.rows import one
 from lambent_server.database.schema import api_keys, jobs, shares
 from lambent_server.database.service_schema import webhook_deliveries, webhooks
 from lambent_server.database.tenancy import Tenant, across_tenants, change, rows
@@ -16,7 +19,15 @@ from lambent_server.database.tenancy import Tenant, across_tenants, change, rows
 LEFT = "maker_left"
 """Why a subscription is disabled whose maker has left."""
 NOTHING: frozenset[ScopeName] = frozenset()
-Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class UsedKey(KeyRow):
+    """A key with its organisation, and with whose it is."""
+
+    closed_at: float | None
+    role: str | None
+    disabled_at: float | None
 
 
 def columns_of(maker: Maker) -> dict[str, str | None]:
@@ -24,9 +35,9 @@ def columns_of(maker: Maker) -> dict[str, str | None]:
     return {"maker_user_id": maker.user_id, "maker_key_id": maker.key_id}
 
 
-def maker_of(row: Row) -> Maker:
+def maker_of(row: JobRow | ShareRow | WebhookRow | Row[Any]) -> Maker:
     """Return who made the thing of a row."""
-    return Maker(user_id=row["maker_user_id"], key_id=row["maker_key_id"])
+    return Maker(user_id=row.maker_user_id, key_id=row.maker_key_id)
 
 
 def scopes_of_maker(connection: Connection, tenant: Tenant, maker: Maker) -> frozenset[ScopeName]:
@@ -36,7 +47,7 @@ def scopes_of_maker(connection: Connection, tenant: Tenant, maker: Maker) -> fro
     """
     if maker.key_id is not None:
         mine = (api_keys.c.id == maker.key_id) & (api_keys.c.tenant_id == tenant.id)
-        row: Any = connection.execute(keys_with_people().where(mine)).mappings().one_or_none()
+        row = one(connection, keys_with_people().where(mine), UsedKey)
         return NOTHING if row is None else scopes_of_key(row) or NOTHING
     if maker.user_id is not None:
         roles = (
@@ -54,17 +65,17 @@ def keys_with_people() -> Select[Any]:
     return with_user(with_organisation(api_keys, members.c.role, users.c.disabled_at), api_keys)
 
 
-def scopes_of_key(row: Any) -> frozenset[ScopeName] | None:
+def scopes_of_key(row: UsedKey) -> frozenset[ScopeName] | None:
     """Return what a key may do now: of a person's key, no more than the person; None if it is invalid."""
-    ended = row["revoked_at"] is not None or (row["expires_at"] or now() + 1) < now()
-    if ended or row["closed_at"] is not None:
+    ended = row.revoked_at is not None or (row.expires_at or now() + 1) < now()
+    if ended or row.closed_at is not None:
         return None
-    scopes = parsed(row["scopes"])
-    if row["user_id"] is None:
+    scopes = parsed(row.scopes)
+    if row.user_id is None:
         return scopes
-    if row["disabled_at"] is not None or row["role"] is None:
+    if row.disabled_at is not None or row.role is None:
         return None
-    return scopes & of_role(row["role"])
+    return scopes & of_role(row.role)
 
 
 def with_organisation(table: Table, *columns: Any) -> Select[Any]:

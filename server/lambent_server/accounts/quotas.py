@@ -6,7 +6,6 @@ organisation can: concurrent requests never pass a limit together.
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from sqlalchemy import Connection, func, select
 
@@ -34,10 +33,10 @@ class Quotas:
 
 def quotas_of(connection: Connection, tenant: Tenant, settings: Settings) -> Quotas:
     """Return the limits of an organisation: its own, else those of the settings."""
-    own: Any = organisations.find(connection, tenant) or {}
+    own = organisations.find(connection, tenant)
 
     def limit(name: str, default: float) -> float | None:
-        value = own.get(name)
+        value = getattr(own, name, None)
         return (default if value is None else value) or None
 
     jobs = limit("max_jobs", settings.max_queued_jobs)

@@ -11,7 +11,9 @@ from lambent_server.accounts.scopes import ROLES
 from lambent_server.api.outside_text import plain
 from lambent_server.core.clock import now
 from lambent_server.core.settings import Settings
+from lambent_server.database.model import MemberRow, UserRow
 from lambent_server.database.people_schema import members
+from lambent_server.database.rows import many
 from lambent_server.database.tenancy import Tenant, across_tenants
 
 PROXY = "proxy"
@@ -107,13 +109,13 @@ def admit(connection: Connection, vouched: Vouched, settings: Settings) -> tuple
     user = users.by_subject(connection, vouched.issuer, vouched.subject)
     if user is None and vouched.email is not None:
         user = users.by_email(connection, vouched.email)
-        if user is not None and user["issuer"] is not None:
+        if user is not None and user.issuer is not None:
             raise RefusedError(f"the address of {vouched.subject!r} belongs to another user")
     claimed = _existing(connection, vouched.roles or {})
     if user is None:
         user = _create(connection, vouched, claimed, settings)
-    user_id = str(user["id"])
-    if user["disabled_at"] is not None:
+    user_id = user.id
+    if user.disabled_at is not None:
         raise RefusedError(f"user {user_id} is disabled")
     users.change_user(
         connection,
@@ -126,20 +128,20 @@ def admit(connection: Connection, vouched: Vouched, settings: Settings) -> tuple
     if vouched.roles is not None:
         _follow_claims(connection, user_id, claimed)
     own = users.memberships(connection, user_id)
-    return user_id, Tenant(own[0]["tenant_id"]) if own else None
+    return user_id, Tenant(own[0].tenant_id) if own else None
 
 
 def _existing(connection: Connection, roles: Mapping[str, str]) -> dict[str, str]:
     # Closed ones too: who leaves one out would lose for good what an operator opens again.
-    known = {row["tenant_id"] for row in organisations.all_of_them(connection)}
+    known = {row.tenant_id for row in organisations.all_of_them(connection)}
     return {name: role for name, role in roles.items() if name in known}
 
 
 def _create(
     connection: Connection, vouched: Vouched, claimed: Mapping[str, str], settings: Settings
-) -> users.Row:
+) -> UserRow:
     known = organisations.all_of_them(connection)
-    is_claimed = any(row["tenant_id"] in claimed and row["closed_at"] is None for row in known)
+    is_claimed = any(row.tenant_id in claimed and row.closed_at is None for row in known)
     may = settings.login_create == "everybody" or (settings.login_create == "claimed" and is_claimed)
     if not may:
         raise RefusedError(f"there is no user {vouched.subject!r} of {vouched.issuer}")
@@ -149,17 +151,17 @@ def _create(
         tenant = Tenant(settings.login_organisation)
         if organisations.find(connection, tenant) is None:
             raise RefusedError(f"there is no organisation {tenant.id!r}")
-        users.join(connection, tenant, user["id"], settings.login_role)
+        users.join(connection, tenant, user.id, settings.login_role)
     return user
 
 
 def _follow_claims(connection: Connection, user_id: str, claimed: Mapping[str, str]) -> None:
     """Let memberships be as claimed; those that an operator has given stay as they are."""
     statement = across_tenants(members).where(members.c.user_id == user_id)
-    known = {row["tenant_id"]: row for row in connection.execute(statement).mappings()}
+    known = {row.tenant_id: row for row in many(connection, statement, MemberRow)}
     for name, row in known.items():
-        if row["source"] == users.CLAIM and name not in claimed:
+        if row.source == users.CLAIM and name not in claimed:
             users.leave(connection, Tenant(name), user_id)
     for name, role in claimed.items():
-        if name not in known or known[name]["source"] == users.CLAIM:
+        if name not in known or known[name].source == users.CLAIM:
             users.join(connection, Tenant(name), user_id, role, users.CLAIM)

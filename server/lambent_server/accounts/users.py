@@ -1,23 +1,33 @@
 """Users, and the organisations that they belong to with a role."""
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Table, delete, select, update
+from sqlalchemy import ColumnElement, Connection, Table, delete, func, select, update
 
 from lambent_server.accounts import audit
 from lambent_server.accounts.makers import end_what_was_made
-from lambent_server.accounts.scopes import ROLES, ScopeName, of_role
+from lambent_server.accounts.scopes import ROLES, RoleName
 from lambent_server.api.problems import conflict, invalid, not_found
 from lambent_server.core.clock import new_id, now
 from lambent_server.database.cluster_schema import login_codes
+from lambent_server.database.model import UserRow
 from lambent_server.database.people_schema import members, organisations, users
+from lambent_server.database.rows import many, one
 from lambent_server.database.schema import api_keys, sessions
 from lambent_server.database.tenancy import Tenant, across_tenants, add, change, remove, rows
 
 OPERATOR = "operator"
 CLAIM = "claim"
-Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Belonging:
+    """An open organisation that a user belongs to, and their role there."""
+
+    tenant_id: str
+    name: str
+    role: RoleName
 
 
 def create(
@@ -27,7 +37,7 @@ def create(
     email: str | None = None,
     issuer: str | None = None,
     subject: str | None = None,
-) -> Row:
+) -> UserRow:
     """Add a user who belongs to no organisation yet; raises `user_exists` for a known address."""
     address = None if email is None else email.strip().lower()
     if address is not None and by_email(connection, address) is not None:
@@ -38,27 +48,26 @@ def create(
     return require(connection, identifier)
 
 
-def find(connection: Connection, user_id: str) -> Row | None:
+def find(connection: Connection, user_id: str) -> UserRow | None:
     """Return a user, or None."""
     return _first(connection, users.c.id == user_id)
 
 
-def by_email(connection: Connection, email: str) -> Row | None:
+def by_email(connection: Connection, email: str) -> UserRow | None:
     """Return the user with an address, or None."""
     return _first(connection, users.c.email == email.strip().lower())
 
 
-def by_subject(connection: Connection, issuer: str, subject: str) -> Row | None:
+def by_subject(connection: Connection, issuer: str, subject: str) -> UserRow | None:
     """Return the user whom a provider knows by this name, or None."""
     return _first(connection, users.c.issuer == issuer, users.c.subject == subject)
 
 
-def _first(connection: Connection, *conditions: Any) -> Row | None:
-    row = connection.execute(select(users).where(*conditions)).mappings().one_or_none()
-    return None if row is None else dict(row)
+def _first(connection: Connection, *conditions: Any) -> UserRow | None:
+    return one(connection, select(users).where(*conditions), UserRow)
 
 
-def require(connection: Connection, name: str) -> Row:
+def require(connection: Connection, name: str) -> UserRow:
     """Return the user with this id or address; raises `user_not_found`."""
     row = find(connection, name) or by_email(connection, name)
     if row is None:
@@ -95,31 +104,24 @@ def leave(connection: Connection, tenant: Tenant, user_id: str) -> bool:
     return gone
 
 
-def memberships(connection: Connection, user_id: str) -> list[Row]:
-    """Return the open organisations that a user belongs to: id, name and role, by name."""
+def memberships(connection: Connection, user_id: str) -> list[Belonging]:
+    """Return the open organisations that a user belongs to, by name."""
     statement = (
-        across_tenants(members, members, organisations.c.name, organisations.c.closed_at)
+        across_tenants(members, members.c.tenant_id, organisations.c.name, members.c.role)
         .join(organisations, organisations.c.tenant_id == members.c.tenant_id)
         .where(members.c.user_id == user_id, organisations.c.closed_at.is_(None))
     )
-    return [dict(row) for row in connection.execute(statement.order_by(organisations.c.name)).mappings()]
+    return many(connection, statement.order_by(organisations.c.name), Belonging)
 
 
-def scopes_of(membership: Row) -> frozenset[ScopeName]:
-    """Return what a member may do in the organisation."""
-    return of_role(membership["role"])
+def num_members(connection: Connection, tenant: Tenant) -> int:
+    """Return how many users belong to an organisation."""
+    return int(connection.execute(rows(tenant, members, func.count())).scalar_one())
 
 
-def of_organisation(connection: Connection, tenant: Tenant) -> list[Row]:
-    """Return the members of an organisation with their users' rows, by name."""
-    columns = (users, members.c.role, members.c.source)
-    statement = rows(tenant, members, *columns).join(users, users.c.id == members.c.user_id)
-    return [dict(row) for row in connection.execute(statement.order_by(users.c.name)).mappings()]
-
-
-def everybody(connection: Connection) -> list[Row]:
+def everybody(connection: Connection) -> list[UserRow]:
     """Return all users, by name."""
-    return [dict(row) for row in connection.execute(select(users).order_by(users.c.name)).mappings()]
+    return many(connection, select(users).order_by(users.c.name), UserRow)
 
 
 def end_sessions(connection: Connection, user_id: str) -> None:
@@ -152,7 +154,7 @@ def revoke_keys(connection: Connection, user_id: str) -> None:
 
 def require_member(connection: Connection, tenant: Tenant, name: str) -> str:
     """Return the id of a member by id or address; raises `member_not_found`."""
-    user_id = str(require(connection, name)["id"])
+    user_id = require(connection, name).id
     if connection.execute(rows(tenant, members).where(members.c.user_id == user_id)).first() is None:
         raise not_found("member", name)
     return user_id

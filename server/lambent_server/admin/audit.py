@@ -1,6 +1,7 @@
 """`lambent admin audit`: verify the chain of the log, export it, remove what is old enough."""
 
 import json
+from dataclasses import asdict
 from typing import Annotated
 
 import typer
@@ -70,7 +71,7 @@ def export(org: OrgOption = "", data: DataOption = None, database: DatabaseOptio
         wanted = [Tenant("" if org == "-" else org)] if org else audit.tenants(connection)
         for tenant in wanted:
             for row in audit.entries(connection, tenant):
-                entry = {**row, "at": rfc3339(row["at"]), "details": json.loads(row["details"])}
+                entry = {**asdict(row), "at": rfc3339(row.at), "details": json.loads(row.details)}
                 entry["org"] = entry.pop("tenant_id")
                 typer.echo(json.dumps(entry))
 

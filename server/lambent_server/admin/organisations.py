@@ -15,6 +15,7 @@ from lambent_server.accounts.who import operator
 from lambent_server.admin.opened import JsonOption, StoreOption, YesOption, opened, print_rows
 from lambent_server.cli import DatabaseOption, DataOption
 from lambent_server.core.clock import now, rfc3339
+from lambent_server.database.model import OrganisationRow
 from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant
 from lambent_server.jobs.queries import num_unfinished, promised_gpu_minutes
 from lambent_server.maintenance import erasure, housekeeping
@@ -58,18 +59,18 @@ def list_organisations(
     print_rows(shown, ("id", "name", "closed", "members", "unfinished_jobs", "bytes"), as_json)
 
 
-def _show(services: Services, connection: Connection, row: Any) -> dict[str, Any]:
-    tenant = Tenant(row["tenant_id"])
+def _show(services: Services, connection: Connection, row: OrganisationRow) -> dict[str, Any]:
+    tenant = Tenant(row.tenant_id)
     return {
         "id": tenant.id,
-        "name": row["name"],
-        "created_at": rfc3339(row["created_at"]),
-        "closed": row["closed_at"] is not None,
-        "members": len(users.of_organisation(connection, tenant)),
+        "name": row.name,
+        "created_at": rfc3339(row.created_at),
+        "closed": row.closed_at is not None,
+        "members": users.num_members(connection, tenant),
         "unfinished_jobs": num_unfinished(connection, tenant),
         "bytes": int(usage.amount(connection, tenant, usage.BYTES)),
-        "retention": row["retention"],
-        "retention_enforced": bool(row["retention_enforced"]),
+        "retention": row.retention,
+        "retention_enforced": bool(row.retention_enforced),
     }
 
 
@@ -183,7 +184,7 @@ def quota(
             "gpu_minutes": (round(minutes, 1), limits.gpu_minutes),
         }
         if values:
-            changed = {name: [row[name], value] for name, value in values.items()}
+            changed = {name: [getattr(row, name), value] for name, value in values.items()}
             audit.record(connection, operator(tenant), "quota", org, details=changed)
     if as_json:
         typer.echo(json.dumps({name: {"used": use, "limit": limit} for name, (use, limit) in used.items()}))

@@ -12,6 +12,8 @@ from lambent_server.admin.opened import JsonOption, YesOption, age, opened, prin
 from lambent_server.api.problems import Problem, not_found
 from lambent_server.cli import DatabaseOption, DataOption
 from lambent_server.core.clock import now, rfc3339
+from lambent_server.database.model import KeyRow
+from lambent_server.database.rows import many
 from lambent_server.database.schema import api_keys
 from lambent_server.database.tenancy import Tenant, across_tenants
 
@@ -52,9 +54,9 @@ def add(
                 detail = f"there is no user {email!r}, and a new one needs an e-mail address"
                 raise Problem(404, "user_not_found", detail)
             user = users.create(connection, name=name, email=email)
-        users.join(connection, tenant, user["id"], role)
-        audit.record(connection, operator(tenant), "user add", user["id"], details={"role": role})
-    typer.echo(f"{user['id']} is {role} of {org}")
+        users.join(connection, tenant, user.id, role)
+        audit.record(connection, operator(tenant), "user add", user.id, details={"role": role})
+    typer.echo(f"{user.id} is {role} of {org}")
 
 
 @app.command()
@@ -65,10 +67,10 @@ def remove(
     tenant = Tenant(org)
     with opened(data, database) as services, services.database.write() as connection:
         member = users.require(connection, user)
-        if not users.leave(connection, tenant, member["id"]):
+        if not users.leave(connection, tenant, member.id):
             raise not_found("member", user)
-        audit.record(connection, operator(tenant), "user remove", member["id"])
-    typer.echo(f"{member['id']} is no longer a member of {org}")
+        audit.record(connection, operator(tenant), "user remove", member.id)
+    typer.echo(f"{member.id} is no longer a member of {org}")
 
 
 @app.command("list")
@@ -82,16 +84,16 @@ def list_users(
     with opened(data, database) as services, services.database.read() as connection:
         shown = []
         for row in users.everybody(connection):
-            roles = {each["tenant_id"]: each["role"] for each in users.memberships(connection, row["id"])}
+            roles = {each.tenant_id: each.role for each in users.memberships(connection, row.id)}
             if org and org not in roles:
                 continue
-            seen = row["last_seen_at"]
+            seen = row.last_seen_at
             shown.append(
                 {
-                    **{name: row[name] for name in ("id", "name", "email", "issuer")},
+                    **{name: getattr(row, name) for name in ("id", "name", "email", "issuer")},
                     "roles": roles,
-                    "last_seen_at": None if seen is None else rfc3339(seen),
-                    "disabled": row["disabled_at"] is not None,
+                    "last_seen_at": rfc3339(seen),
+                    "disabled": row.disabled_at is not None,
                 }
             )
     print_rows(shown, ("id", "email", "name", "roles", "last_seen_at", "disabled"), as_json)
@@ -99,7 +101,7 @@ def list_users(
 
 def _logs_of(connection: Connection, user_id: str) -> list[str]:
     """Return the organisations whose logs record what happens to a user; "" is the log of the server."""
-    logs = sorted(row["tenant_id"] for row in users.memberships(connection, user_id))
+    logs = sorted(row.tenant_id for row in users.memberships(connection, user_id))
     return logs or [audit.SERVER.id]
 
 
@@ -113,11 +115,11 @@ def disable(user: UserArgument, data: DataOption = None, database: DatabaseOptio
     """Sign a user out everywhere and refuse further sign-ins; the user's keys stop working."""
     with opened(data, database) as services, services.database.write() as connection:
         row = users.require(connection, user)
-        users.change_user(connection, row["id"], disabled_at=now())
-        users.end_sessions(connection, row["id"])
-        users.revoke_keys(connection, row["id"])
-        _record(connection, _logs_of(connection, row["id"]), "user disable", row["id"])
-    typer.echo(f"{row['id']} disabled")
+        users.change_user(connection, row.id, disabled_at=now())
+        users.end_sessions(connection, row.id)
+        users.revoke_keys(connection, row.id)
+        _record(connection, _logs_of(connection, row.id), "user disable", row.id)
+    typer.echo(f"{row.id} disabled")
 
 
 @app.command()
@@ -125,9 +127,9 @@ def enable(user: UserArgument, data: DataOption = None, database: DatabaseOption
     """Let a disabled user sign in again; keys stay revoked."""
     with opened(data, database) as services, services.database.write() as connection:
         row = users.require(connection, user)
-        users.change_user(connection, row["id"], disabled_at=None)
-        _record(connection, _logs_of(connection, row["id"]), "user enable", row["id"])
-    typer.echo(f"{row['id']} enabled")
+        users.change_user(connection, row.id, disabled_at=None)
+        _record(connection, _logs_of(connection, row.id), "user enable", row.id)
+    typer.echo(f"{row.id} enabled")
 
 
 @app.command()
@@ -143,15 +145,15 @@ def delete(
     """
     with opened(data, database) as services, services.database.write() as connection:
         row = users.require(connection, user)
-        member_of = sorted(row["tenant_id"] for row in users.memberships(connection, row["id"]))
+        member_of = sorted(row.tenant_id for row in users.memberships(connection, row.id))
         if not yes:
-            typer.echo(f"{row['id']} {row['name']} {row['email'] or ''} of {', '.join(member_of)}")
+            typer.echo(f"{row.id} {row.name} {row.email or ''} of {', '.join(member_of)}")
             typer.echo("nothing was changed: add --yes", err=True)
             return
-        logs = _logs_of(connection, row["id"])
-        users.forget(connection, row["id"])
-        _record(connection, logs, "user delete", row["id"])
-    typer.echo(f"{row['id']} deleted")
+        logs = _logs_of(connection, row.id)
+        users.forget(connection, row.id)
+        _record(connection, logs, "user delete", row.id)
+    typer.echo(f"{row.id} deleted")
 
 
 @keys_app.command("create")
@@ -196,8 +198,8 @@ def list_keys(
         statement = statement.where(api_keys.c.tenant_id == org)
     with opened(data, database) as services, services.database.read() as connection:
         shown = [
-            {"org": row["tenant_id"], **keys.show(dict(row)).model_dump()}
-            for row in connection.execute(statement).mappings()
+            {"org": row.tenant_id, **keys.show(row).model_dump()}
+            for row in many(connection, statement, KeyRow)
         ]
     names = ("id", "org", "name", "scopes", "last_used_at", "expires_at", "revoked_at")
     print_rows(shown, names, as_json)

@@ -44,9 +44,9 @@ def set_rules(
     ages = {kind: None if text == NEVER else age(text) for kind, text in given.items() if text}
     with opened(data, database) as services, services.database.write() as connection:
         row = organisations.require(connection, tenant)
-        rules = {**(row["retention"] or {}), **ages}
+        rules = {**(row.retention or {}), **ages}
         kept: dict[str, Any] = {kind: seconds for kind, seconds in rules.items() if seconds is not None}
-        enforced = bool(row["retention_enforced"]) if enforce is None else enforce
+        enforced = bool(row.retention_enforced) if enforce is None else enforce
         shown: dict[str, JsonValue] = {"seconds": kept, "enforced": enforced}
         if ages or enforce is not None:
             organisations.update(connection, tenant, retention=kept or None, retention_enforced=int(enforced))

@@ -21,11 +21,11 @@ def made_before(
     if add_if_absent(connection, tenant, idempotency_keys, **values):
         return None
     statement = rows(tenant, idempotency_keys).where(idempotency_keys.c.key == key)
-    row = connection.execute(statement).mappings().one()
-    if row["body_sha256"] != digest:
+    row = connection.execute(statement).one()
+    if row.body_sha256 != digest:
         message = "this key was used with another body; use a new key for a new request"
         raise invalid("idempotency_key_reused", "#/header/Idempotency-Key", message)
-    return str(row["job_id"])
+    return str(row.job_id)
 
 
 def point_to(connection: Connection, tenant: Tenant, key: str | None, identifier: str) -> None:

@@ -7,6 +7,7 @@ from lambent_core.pictures import WHOLE, Name
 from pydantic import BaseModel, ConfigDict, Field, computed_field
 
 from lambent_server.api.parameters import Settings, SettingValue
+from lambent_server.database.model import SceneState
 
 # Without this the schema would allow names that match none of the patterns.
 ONLY_THESE = {"additionalProperties": False}
@@ -15,7 +16,6 @@ LabelName = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,63}$")]
 JobState = Literal["queued", "running", "cancelling", "retry_wait", "succeeded", "failed", "cancelled"]
 NewJobKind = Literal["train", "check", "prepare", "bake"]
 JobKind = Literal["train", "check", "prepare", "bake", "render", "batch"]
-SceneState = Literal["open", "uploaded", "ready", "rejected"]
 
 
 class Given(BaseModel):

@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
-from sqlalchemy import Column, ColumnElement, Connection, Select, Table, tuple_
+from sqlalchemy import Column, ColumnElement, Connection, Select, tuple_
 
 from lambent_server.api.outside_text import parse_json
 from lambent_server.api.problems import Problem, invalid
-from lambent_server.database.rows import Kind
+from lambent_server.database.rows import Kind, many, table_of
 from lambent_server.database.tenancy import Tenant, rows
 
 Cursor = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,2000}$")]
@@ -19,7 +19,6 @@ Labels = Annotated[
     list[Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,63}=[^\x00-\x1f\x7f]{0,200}$")]],
     Field(max_length=8, description='"name=value"; all must hold', default_factory=list),
 ]
-Row = dict[str, Any]
 
 _ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 # Of a column of whole numbers, in both databases.
@@ -87,20 +86,23 @@ def _unusable() -> Problem:
 
 
 def select_ordered(
-    connection: Connection, statement: Select[Any], columns: Sequence[Column[Any]], page: PageFilter
-) -> tuple[list[Row], str | None]:
+    connection: Connection,
+    kind: type[Kind],
+    statement: Select[Any],
+    columns: Sequence[Column[Any]],
+    page: PageFilter,
+) -> tuple[list[Kind], str | None]:
     """Return a page of rows in the order of `columns`, and the cursor of the next one.
 
     Together the columns are different in every row.
     """
     if page.cursor is not None:
         statement = statement.where(tuple_(*columns) > tuple_(*_values(page.cursor, columns)))
-    rows_found = connection.execute(statement.order_by(*columns).limit(page.limit + 1)).mappings()
-    items = [dict(row) for row in rows_found]
+    items = many(connection, statement.order_by(*columns).limit(page.limit + 1), kind)
     if len(items) <= page.limit:
         return items, None
     last = items[page.limit - 1]
-    return items[: page.limit], _cursor(_written([last[column.name] for column in columns]))
+    return items[: page.limit], _cursor(_written([getattr(last, column.name) for column in columns]))
 
 
 def _values(cursor: str, columns: Sequence[Column[Any]]) -> list[Any]:
@@ -118,9 +120,14 @@ def _values(cursor: str, columns: Sequence[Column[Any]]) -> list[Any]:
 
 
 def select_newest(
-    connection: Connection, tenant: Tenant, table: Table, *conditions: ColumnElement[bool], page: PageFilter
-) -> tuple[list[Row], str | None]:
+    connection: Connection,
+    tenant: Tenant,
+    kind: type[Kind],
+    *conditions: ColumnElement[bool],
+    page: PageFilter,
+) -> tuple[list[Kind], str | None]:
     """Return a page of rows, newest first, and the cursor of the next one."""
+    table = table_of(kind)
 
     def select_after(last: str | None, num_rows: int) -> Select[Any]:
         statement = rows(tenant, table).where(*conditions)
@@ -128,7 +135,7 @@ def select_newest(
             statement = statement.where(table.c.id < last)
         return statement.order_by(table.c.id.desc()).limit(num_rows)
 
-    return read_page(connection, select_after, page, dict)
+    return read_page(connection, select_after, page, kind)
 
 
 def read_page(

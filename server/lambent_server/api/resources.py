@@ -8,9 +8,12 @@ from typing import Annotated, Any
 from fastapi import Header, Request, Response
 from lambent_pages import is_named
 from pydantic import BaseModel
+from sqlalchemy import Connection
 
 from lambent_server.api.json_bodies import StrictRoute
-from lambent_server.api.problems import Problem, invalid
+from lambent_server.api.problems import Problem, invalid, not_found
+from lambent_server.database.rows import Kind
+from lambent_server.database.tenancy import Tenant, find
 
 _JSON = "application/json"
 _TAG_DIGITS = 32
@@ -69,6 +72,22 @@ def _tag(content: Any) -> str:
     """Return the tag of a JSON value, the same however it is written."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return f'"{hashlib.sha256(text.encode()).hexdigest()[:_TAG_DIGITS]}"'
+
+
+def require(
+    connection: Connection,
+    tenant: Tenant,
+    kind: type[Kind],
+    name: str,
+    identifier: str,
+    *,
+    lock: bool = False,
+) -> Kind:
+    """Return the row of a resource; raises `<name>_not_found`. With `lock`, nobody else can change it."""
+    row = find(connection, tenant, kind, identifier, lock=lock)
+    if row is None:
+        raise not_found(name, identifier)
+    return row
 
 
 def require_match(if_match: str | None, shown: BaseModel) -> None:

@@ -9,6 +9,7 @@ from starlette.exceptions import HTTPException
 
 from lambent_server.accounts import shares
 from lambent_server.bundles.rows import require_bundle, show
+from lambent_server.database.model import ShareRow
 from lambent_server.database.tenancy import Tenant
 from lambent_server.http.blob_responses import Asked, send_blob
 from lambent_server.http.common import Id, ServicesOf
@@ -58,10 +59,10 @@ def get_embed_picture(services: ServicesOf, share_id: Id) -> Response:
     return response
 
 
-def _head(connection: Connection, row: shares.Row, base: str) -> str:
+def _head(connection: Connection, row: ShareRow, base: str) -> str:
     """Return the elements of the head that name the object; every text in them is escaped."""
-    tenant = Tenant(row["tenant_id"])
-    bundle = show(connection, tenant, require_bundle(connection, tenant, row["bundle_id"]))
+    tenant = Tenant(row.tenant_id)
+    bundle = show(connection, tenant, require_bundle(connection, tenant, row.bundle_id))
     title = bundle.scene_name or "A relightable object"
     named = {
         "og:type": "website",
@@ -71,20 +72,20 @@ def _head(connection: Connection, row: shares.Row, base: str) -> str:
         "twitter:card": "summary",
     }
     if _picture(connection, row) is not None:
-        named["og:image"] = f"{base}{shares.page_path(row['id'])}/picture"
+        named["og:image"] = f"{base}{shares.page_path(row.id)}/picture"
         named["og:image:alt"] = title
         named["twitter:card"] = "summary_large_image"
-    lines = [f'<meta name="lambent-bundle" content="{escape(row["bundle_id"])}" />']
+    lines = [f'<meta name="lambent-bundle" content="{escape(row.bundle_id)}" />']
     lines += [f'<meta property="{name}" content="{escape(text)}" />' for name, text in named.items()]
     return "\n    ".join([f"<title>{escape(title)}</title>", *lines])
 
 
-def _picture(connection: Connection, row: shares.Row) -> Blob | None:
+def _picture(connection: Connection, row: ShareRow) -> Blob | None:
     """Return the picture of a link's bundle, or None."""
-    bundle_id = row["bundle_id"]
-    found = pictures(connection, Tenant(row["tenant_id"]), [bundle_id], LARGE_FIRST).get(bundle_id)
+    bundle_id = row.bundle_id
+    found = pictures(connection, Tenant(row.tenant_id), [bundle_id], LARGE_FIRST).get(bundle_id)
     if found is None:
         return None
     # What a run called its file is not what a browser is told.
-    media_type = _MEDIA_TYPES[found["path"].rpartition(".")[2]]
-    return Blob(found["sha256"], int(found["size_bytes"]), media_type)
+    media_type = _MEDIA_TYPES[found.path.rpartition(".")[2]]
+    return Blob(found.sha256, int(found.size_bytes), media_type)

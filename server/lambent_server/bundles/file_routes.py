@@ -13,6 +13,8 @@ from zipstream import ZipStream
 
 from lambent_server.api.problems import not_found
 from lambent_server.bundles.rows import require_bundle, show
+from lambent_server.database.model import BundleFileRow
+from lambent_server.database.rows import many, one
 from lambent_server.database.schema import bundle_files
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.http.blob_responses import RESPONSES, Asked, AskedOf, MatchHeader, send_blob
@@ -39,11 +41,11 @@ def _bundle_file(
         statement = rows(tenant, bundle_files).where(
             bundle_files.c.bundle_id == bundle_id, bundle_files.c.path == path
         )
-        row = connection.execute(statement).mappings().one_or_none()
+        row = one(connection, statement, BundleFileRow)
     if row is None:
         raise not_found("file", path)
-    gzip_bytes = int(row["gzip_bytes"] or 0)
-    return Blob(row["sha256"], int(row["size_bytes"]), media_type or row["media_type"], gzip_bytes)
+    gzip_bytes = int(row.gzip_bytes or 0)
+    return Blob(row.sha256, int(row.size_bytes), media_type or row.media_type, gzip_bytes)
 
 
 @router.get("/v1/bundles/{bundle_id:id}/manifest", response_class=Response, responses=RESPONSES)
@@ -87,11 +89,11 @@ def get_bundle_archive(
         row = require_bundle(connection, tenant, bundle_id)
         name = show(connection, tenant, row).scene_name or bundle_id
         statement = rows(tenant, bundle_files).where(bundle_files.c.bundle_id == bundle_id)
-        files = connection.execute(statement.order_by(bundle_files.c.path)).mappings().all()
+        files = many(connection, statement.order_by(bundle_files.c.path), BundleFileRow)
     archive = ZipStream(sized=True)
     for file in files:
-        archive.add(_read_in_turn(services, file), file["path"], size=int(file["size_bytes"]))
-    etag = f'"{hashlib.sha256("".join(f["path"] + f["sha256"] for f in files).encode()).hexdigest()}"'
+        archive.add(_read_in_turn(services, file), file.path, size=int(file.size_bytes))
+    etag = f'"{hashlib.sha256("".join(f.path + f.sha256 for f in files).encode()).hexdigest()}"'
     headers = {
         # Weak: entries carry the time at which they are sent.
         "etag": f"W/{etag}",
@@ -103,15 +105,15 @@ def get_bundle_archive(
         del headers["content-length"]
         return Response(status_code=304, headers=headers)
     # Before the response begins: a missing file is a problem then, and a broken download later.
-    lost = services.store.damaged({file["sha256"]: int(file["size_bytes"]) for file in files})
+    lost = services.store.damaged({file.sha256: int(file.size_bytes) for file in files})
     if lost:
         raise damaged(lost[0])
     return StreamingResponse(archive, headers=headers, media_type="application/zip")
 
 
-def _read_in_turn(services: Services, file: Any) -> Iterator[bytes]:
+def _read_in_turn(services: Services, file: BundleFileRow) -> Iterator[bytes]:
     """Yield a file in pieces; it is opened when the archive comes to it."""
-    yield from services.store.read(file["sha256"], int(file["size_bytes"]))
+    yield from services.store.read(file.sha256, int(file.size_bytes))
 
 
 def _named(name: str) -> str:

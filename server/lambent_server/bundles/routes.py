@@ -1,6 +1,6 @@
 """Bundles: lists, and links that share one of them."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
@@ -13,8 +13,8 @@ from lambent_server.api.resources import IdempotencyKey, IfMatch, ResourceRoute,
 from lambent_server.bundles import rows as bundle_rows
 from lambent_server.bundles.messages import BundleDetail, BundleList, NewShare, Share, ShareList
 from lambent_server.core.clock import new_id, now, rfc3339
+from lambent_server.database.model import BundleRow, ShareRow
 from lambent_server.database.schema import bundles
-from lambent_server.database.schema import shares as share_rows
 from lambent_server.http.common import Id, ServicesOf, TenantOf, WhoOf, problems
 from lambent_server.jobs import removals
 
@@ -28,7 +28,7 @@ def list_bundles(
     """List bundles, newest first."""
     with services.database.read() as connection:
         found, cursor = select_newest(
-            connection, tenant, bundles, *having(tenant, bundles.c.id, given.label), page=given
+            connection, tenant, BundleRow, *having(tenant, bundles.c.id, given.label), page=given
         )
         items = bundle_rows.show_all(connection, tenant, found)
     return BundleList(items=items, next_cursor=cursor)
@@ -76,14 +76,14 @@ def _secret(request: Request) -> str:
     return secret
 
 
-def _show(request: Request, row: Any) -> Share:
+def _show(request: Request, row: ShareRow) -> Share:
     base = str(request.base_url).rstrip("/")
     return Share(
-        id=row["id"],
-        bundle_id=row["bundle_id"],
-        url=f"{base}{shares.page_path(row['id'])}#{shares.sign(_secret(request), row)}",
-        created_at=rfc3339(row["created_at"]),
-        expires_at=rfc3339(row["expires_at"]),
+        id=row.id,
+        bundle_id=row.bundle_id,
+        url=f"{base}{shares.page_path(row.id)}#{shares.sign(_secret(request), row)}",
+        created_at=rfc3339(row.created_at),
+        expires_at=rfc3339(row.expires_at),
         frame_ancestors=shares.frame_ancestors(row),
     )
 
@@ -107,7 +107,7 @@ def create_share(
         known = made_before(connection, tenant, key, digest, identifier)
         if known is not None:
             return _show(request, shares.require(connection, tenant, known))
-        lifetime_s = body.expires_in_s
+        lifetime_s: float = body.expires_in_s
         if (until := keys.end_of(connection, who)) is not None:
             # A link lasts no longer than the key that makes it.
             lifetime_s = min(lifetime_s, until - now())
@@ -128,7 +128,7 @@ def list_shares(
     """List the active links of a bundle, newest first."""
     with services.database.read() as connection:
         bundle_rows.require_bundle(connection, tenant, bundle_id)
-        found, cursor = select_newest(connection, tenant, share_rows, *shares.working(bundle_id), page=given)
+        found, cursor = select_newest(connection, tenant, ShareRow, *shares.working(bundle_id), page=given)
     return ShareList(items=[_show(request, row) for row in found], next_cursor=cursor)
 
 

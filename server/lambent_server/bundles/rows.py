@@ -1,82 +1,80 @@
 """Database rows of bundles: lists of bundles, and the files of one."""
 
 from collections.abc import Sequence
-from typing import Any
 
 from sqlalchemy import Connection, func
 
 from lambent_server.api import labels as label_rows
 from lambent_server.api.change_messages import BundleChange
-from lambent_server.api.problems import not_found
+from lambent_server.api.resources import require
 from lambent_server.bundles.messages import Bundle, BundleDetail, BundleFile
 from lambent_server.core.clock import rfc3339
+from lambent_server.database.model import BundleFileRow, BundleRow
+from lambent_server.database.rows import many
 from lambent_server.database.schema import bundle_files, bundles, scenes
-from lambent_server.database.tenancy import Tenant, change, find, rows
+from lambent_server.database.tenancy import Tenant, change, rows
 from lambent_server.storage.bundle_pictures import file_url, thumbnail_urls
 
 
 def require_bundle(
     connection: Connection, tenant: Tenant, bundle_id: str, *, lock: bool = False
-) -> dict[str, Any]:
+) -> BundleRow:
     """Return the bundle's row."""
-    row = find(connection, tenant, bundles, bundle_id, lock=lock)
-    if row is None:
-        raise not_found("bundle", bundle_id)
-    return dict(row)
+    return require(connection, tenant, BundleRow, "bundle", bundle_id, lock=lock)
 
 
-def change_bundle(
-    connection: Connection, tenant: Tenant, row: dict[str, Any], order: BundleChange
-) -> dict[str, Any]:
+def change_bundle(connection: Connection, tenant: Tenant, row: BundleRow, order: BundleChange) -> BundleRow:
     """Change the labels of a bundle; the caller holds its row."""
     if order.labels is not None:
-        labels = label_rows.merged(row["labels"], order.labels)
-        label_rows.store(connection, tenant, row["id"], labels)
-        connection.execute(change(tenant, bundles).where(bundles.c.id == row["id"]).values(labels=labels))
-    return require_bundle(connection, tenant, row["id"])
+        labels = label_rows.merged(row.labels, order.labels)
+        label_rows.store(connection, tenant, row.id, labels)
+        connection.execute(change(tenant, bundles).where(bundles.c.id == row.id).values(labels=labels))
+    return require_bundle(connection, tenant, row.id)
 
 
-def show(connection: Connection, tenant: Tenant, row: Any) -> Bundle:
+def show(connection: Connection, tenant: Tenant, row: BundleRow) -> Bundle:
     """Return a bundle in the form of the REST interface."""
     return show_all(connection, tenant, [row])[0]
 
 
-def show_all(connection: Connection, tenant: Tenant, found: Sequence[Any]) -> list[Bundle]:
+def show_all(connection: Connection, tenant: Tenant, found: Sequence[BundleRow]) -> list[Bundle]:
     """Return bundles in the form of the REST interface."""
-    identifiers = [row["id"] for row in found]
+    identifiers = [row.id for row in found]
     mine = bundle_files.c.bundle_id.in_(identifiers)
     columns = (bundle_files.c.bundle_id, func.count(), func.sum(bundle_files.c.size_bytes))
     sums = rows(tenant, bundle_files, *columns).where(mine).group_by(bundle_files.c.bundle_id)
     sizes = {bundle_id: (count, size) for bundle_id, count, size in connection.execute(sums)}
-    scene_ids = {row["scene_id"] for row in found}
+    scene_ids = {row.scene_id for row in found}
     named = rows(tenant, scenes, scenes.c.id, scenes.c.name).where(scenes.c.id.in_(scene_ids))
-    names = dict(iter(connection.execute(named)))
+    names = {scene.id: scene.name for scene in connection.execute(named)}
     shown = thumbnail_urls(connection, tenant, identifiers)
     return [
         Bundle(
-            id=row["id"],
-            job_id=row["job_id"],
-            scene_id=row["scene_id"],
-            scene_name=names.get(row["scene_id"], ""),
-            created_at=rfc3339(row["created_at"]),
-            num_files=sizes.get(row["id"], (0, 0.0))[0],
-            size_bytes=sizes.get(row["id"], (0, 0.0))[1],
-            thumbnail_url=shown.get(row["id"]),
-            labels=row["labels"] or {},
+            id=row.id,
+            job_id=row.job_id,
+            scene_id=row.scene_id,
+            scene_name=names.get(row.scene_id, ""),
+            created_at=rfc3339(row.created_at),
+            num_files=sizes.get(row.id, (0, 0.0))[0],
+            size_bytes=sizes.get(row.id, (0, 0.0))[1],
+            thumbnail_url=shown.get(row.id),
+            labels=row.labels or {},
         )
         for row in found
     ]
 
 
-def show_files(connection: Connection, tenant: Tenant, row: Any) -> BundleDetail:
+def show_files(connection: Connection, tenant: Tenant, row: BundleRow) -> BundleDetail:
     """Return a bundle with its files, sorted by path."""
-    statement = rows(tenant, bundle_files).where(bundle_files.c.bundle_id == row["id"])
-    found = connection.execute(statement.order_by(bundle_files.c.path)).mappings()
+    statement = rows(tenant, bundle_files).where(bundle_files.c.bundle_id == row.id)
     files = [
         BundleFile(
-            **{name: each[name] for name in ("path", "sha256", "size_bytes", "media_type")},
-            url=file_url(row["id"], each["path"]),
+            path=each.path,
+            sha256=each.sha256,
+            size_bytes=int(each.size_bytes),
+            media_type=each.media_type,
+            url=file_url(row.id, each.path),
         )
-        for each in found
+        for each in many(connection, statement.order_by(bundle_files.c.path), BundleFileRow)
     ]
     return BundleDetail(**show(connection, tenant, row).model_dump(), files=files)

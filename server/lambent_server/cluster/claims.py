@@ -7,7 +7,9 @@ point: a claim that stays behind as "deleting" is finished by the next sweep. Ro
 removed under the lock only, and the claim is locked before any of them.
 """
 
-from sqlalchemy import Connection, RowMapping, delete, select, update
+from typing import Any
+
+from sqlalchemy import Connection, Row, delete, select, update
 
 from lambent_server.core.clock import new_id, now
 from lambent_server.database.cluster_schema import blob_claims
@@ -29,29 +31,29 @@ def claim(connection: Connection, tenant: Tenant, sha256: str) -> str:
     mine = update(blob_claims).where(blob_claims.c.sha256 == sha256)
     connection.execute(mine.values(state=KEPT, claimed_at=now()))
     connection.execute(remove(tenant, garbage).where(garbage.c.sha256 == sha256))
-    return str(row["token"])
+    return str(row.token)
 
 
 def still_held(connection: Connection, sha256: str, token: str) -> bool:
     """Return whether no deletion began since the claim; until the transaction ends, none can."""
     row = _find(connection, sha256)
-    return row is not None and row["token"] == token
+    return row is not None and row.token == token
 
 
 def lock(connection: Connection, sha256: str) -> float:
     """Lock a hash, for `announce_deletion` or its compressed copy; return when it was claimed last."""
-    return float(_lock(connection, sha256)["claimed_at"])
+    return float(_lock(connection, sha256).claimed_at)
 
 
 def current(connection: Connection, sha256: str) -> str:
     """Return the token to show `still_held`, for bytes that stand beside those of the hash."""
-    return str(_lock(connection, sha256)["token"])
+    return str(_lock(connection, sha256).token)
 
 
 def interrupt(connection: Connection, sha256: str) -> None:
     """Lock a hash and let whoever is writing its bytes write them again."""
     row = _lock(connection, sha256)
-    if row["state"] == KEPT:
+    if row.state == KEPT:
         mine = update(blob_claims).where(blob_claims.c.sha256 == sha256)
         connection.execute(mine.values(token=new_id("claim")))
 
@@ -70,7 +72,7 @@ def announce_deletion(connection: Connection, sha256: str) -> str | None:
 def lock_deletion(connection: Connection, sha256: str, token: str) -> bool:
     """Lock an announced deletion; return False if somebody has claimed the hash again, or finished it."""
     row = _find(connection, sha256)
-    return row is not None and row["state"] == DELETING and row["token"] == token
+    return row is not None and row.state == DELETING and row.token == token
 
 
 def end_deletion(connection: Connection, sha256: str) -> None:
@@ -84,7 +86,7 @@ def announced(connection: Connection) -> list[tuple[str, str]]:
     return [(sha256, token) for sha256, token in connection.execute(statement)]
 
 
-def _lock(connection: Connection, sha256: str) -> RowMapping:
+def _lock(connection: Connection, sha256: str) -> Row[Any]:
     """Return the claim on a hash, locked until the end of the transaction; made if there is none."""
     values = {"sha256": sha256, "state": KEPT, "token": new_id("claim"), "claimed_at": 0.0}
     while True:
@@ -95,6 +97,6 @@ def _lock(connection: Connection, sha256: str) -> RowMapping:
             return row
 
 
-def _find(connection: Connection, sha256: str) -> RowMapping | None:
+def _find(connection: Connection, sha256: str) -> Row[Any] | None:
     statement = select(blob_claims).where(blob_claims.c.sha256 == sha256).with_for_update()
-    return connection.execute(statement).mappings().one_or_none()
+    return connection.execute(statement).one_or_none()

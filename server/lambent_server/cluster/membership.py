@@ -25,6 +25,8 @@ from lambent_server.database.cluster_schema import leadership, servers
 from lambent_server.database.columns import clock_time
 from lambent_server.database.engine import Database
 from lambent_server.database.leadership import Leadership
+from lambent_server.database.model import ServerRow
+from lambent_server.database.rows import many
 from lambent_server.executors.chosen import is_on_this_machine
 
 log = structlog.get_logger()
@@ -39,22 +41,11 @@ _CLOSED_S = 5.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Member:
-    """A server, as its row has it."""
+class Member(ServerRow):
+    """A server among the others."""
 
-    id: str
-    host: str
-    hostname: str
-    url: str
-    endpoints: tuple[str, ...]
-    version: str
-    protocol: int
-    slots: int
-    gpus: int
-    started_at: float
-    beat_at: float
     is_alive: bool
-    leads: bool
+    leads: bool = False
 
 
 def server_id(data: Path) -> str:
@@ -64,32 +55,12 @@ def server_id(data: Path) -> str:
 
 def members(connection: Connection) -> list[Member]:
     """Return the servers on this database, also those that died lately, in the order of their names."""
-    columns = (
-        "id",
-        "host",
-        "hostname",
-        "url",
-        "version",
-        "protocol",
-        "slots",
-        "gpus",
-        "started_at",
-        "beat_at",
-    )
     leads = select(leadership.c.holder).where(leadership.c.expires_at >= clock_time(connection))
     holder = connection.execute(leads).scalar_one_or_none()
     is_alive = (servers.c.expires_at >= clock_time(connection)).label("is_alive")
-    found = connection.execute(select(servers, is_alive).order_by(servers.c.id)).mappings()
+    found = many(connection, select(servers, is_alive).order_by(servers.c.id), Member)
     alone = connection.dialect.name == "sqlite"
-    return [
-        Member(
-            **{name: row[name] for name in columns},
-            endpoints=tuple(row["endpoints"]),
-            is_alive=bool(row["is_alive"]),
-            leads=bool(row["is_alive"]) if alone else row["id"] == holder,
-        )
-        for row in found
-    ]
+    return [replace(each, leads=each.is_alive if alone else each.id == holder) for each in found]
 
 
 def most_gpus(connection: Connection, own: int) -> int:
@@ -97,7 +68,7 @@ def most_gpus(connection: Connection, own: int) -> int:
     if connection.dialect.name == "sqlite":
         return own
     alive = select(servers.c.gpus).where(servers.c.expires_at >= clock_time(connection))
-    return max([own, *connection.execute(alive).scalars()])
+    return max([own, *map(int, connection.execute(alive).scalars())])
 
 
 def total_slots(connection: Connection, own: int) -> int:
@@ -105,7 +76,7 @@ def total_slots(connection: Connection, own: int) -> int:
     if connection.dialect.name == "sqlite":
         return max(own, 1)
     alive = select(func.sum(servers.c.slots)).where(servers.c.expires_at >= clock_time(connection))
-    return max(own, connection.execute(alive).scalar_one() or 0, 1)
+    return max(own, int(connection.execute(alive).scalar_one() or 0), 1)
 
 
 class Membership:

@@ -44,9 +44,11 @@ def withdraw(connection: Connection, name: str) -> None:
 
 def read(connection: Connection) -> dict[str, Notice]:
     """Return what holds now, by name."""
-    found = connection.execute(across_tenants(server_state)).mappings()
-    columns = ("since", "message", "retry_after_s")
-    return {row["name"]: Notice(**{column: row[column] for column in columns}) for row in found}
+    found = connection.execute(across_tenants(server_state))
+    return {
+        row.name: Notice(since=row.since, message=row.message, retry_after_s=row.retry_after_s)
+        for row in found
+    }
 
 
 class Notices:

@@ -4,6 +4,7 @@ import secrets
 import threading
 import time
 from datetime import UTC, datetime
+from typing import overload
 
 import structlog
 
@@ -113,9 +114,17 @@ class LivedTime:
         self._looked_at = at
 
 
-def rfc3339(at: float) -> str:
-    """Return `at` (Unix seconds) as text with milliseconds."""
-    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+@overload
+def rfc3339(at: float) -> str: ...
+@overload
+def rfc3339(at: float | None) -> str | None: ...
+def rfc3339(at: float | None) -> str | None:
+    """Return `at` (Unix seconds) as text with milliseconds; None for none."""
+    return (
+        None
+        if at is None
+        else datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    )
 
 
 def new_id(prefix: str) -> str:

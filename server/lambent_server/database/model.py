@@ -1,12 +1,13 @@
 """Rows: one class for each table, which `rows.table` makes from it. Times are Unix seconds."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from sqlalchemy import JSON, BigInteger, Integer
 
 Number = Annotated[int, BigInteger().with_variant(Integer, "sqlite")]
 JsonText = Annotated[str, JSON()]
+SceneState = Literal["open", "uploaded", "ready", "rejected"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -36,8 +37,8 @@ class SceneRow:
     id: str
     tenant_id: str
     name: str
-    state: str
-    """open (being uploaded), uploaded, ready (checked and usable), rejected"""
+    state: SceneState
+    """Open: being uploaded. Ready: checked and usable."""
     layout: str | None
     created_at: float
     committed_at: float | None

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from types import NoneType, UnionType
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from sqlalchemy import (
     JSON,
@@ -44,7 +44,13 @@ def _column(name: str, hint: Any, *, is_key: bool) -> Column[Any]:
     if plain in (dict, list):
         return Column(name, JSON(none_as_null=nullable), nullable=nullable)
     default = 0 if hint is int else None
-    return Column(name, _TYPES[given[0]], nullable=nullable, primary_key=is_key, default=default)
+    return Column(
+        name,
+        Text if plain is Literal else _TYPES[given[0]],
+        nullable=nullable,
+        primary_key=is_key,
+        default=default,
+    )
 
 
 def table_of(kind: type) -> Table:

@@ -7,7 +7,6 @@ from sqlalchemy import (
     Connection,
     Delete,
     Insert,
-    RowMapping,
     Select,
     Table,
     Update,
@@ -19,6 +18,7 @@ from sqlalchemy import (
 )
 
 from lambent_server.database.columns import insert_or
+from lambent_server.database.rows import Kind, one, table_of
 
 DEFAULT_TENANT_ID = "default"
 
@@ -73,19 +73,15 @@ def add_if_absent(connection: Connection, tenant: Tenant, table: Table, **values
 
 
 def find(
-    connection: Connection, tenant: Tenant, table: Table, identifier: str, *, lock: bool = False
-) -> RowMapping | None:
-    """Return the row of `tenant` with this id, or None, also for rows of other tenants."""
-    return connection.execute(by_id(tenant, table, identifier, lock=lock)).mappings().one_or_none()
-
-
-def by_id(tenant: Tenant, table: Table, identifier: str, *, lock: bool = False) -> Select[Any]:
-    """Return a SELECT of the row of `tenant` with this id.
+    connection: Connection, tenant: Tenant, kind: type[Kind], identifier: str, *, lock: bool = False
+) -> Kind | None:
+    """Return the row of `tenant` with this id, or None, also for rows of other tenants.
 
     With `lock`, no other transaction can change it before this one ends.
     """
+    table = table_of(kind)
     statement = rows(tenant, table).where(table.c.id == identifier)
-    return statement.with_for_update() if lock else statement
+    return one(connection, statement.with_for_update() if lock else statement, kind)
 
 
 def across_tenants(table: Table, *columns: Any) -> Select[Any]:

@@ -3,11 +3,11 @@
 import secrets
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
-from typing import Any
 
 from sqlalchemy import Connection, delete
 
 from lambent_server.accounts.makers import (
+    UsedKey,
     columns_of,
     keys_with_people,
     maker_of,
@@ -17,7 +17,7 @@ from lambent_server.accounts.makers import (
     with_user,
 )
 from lambent_server.accounts.scopes import ADMIN, of_role
-from lambent_server.accounts.shares import Row, signed
+from lambent_server.accounts.shares import FoundShare, signed
 from lambent_server.accounts.sign_in import PROXY
 from lambent_server.accounts.who import NOBODY, Maker, Who
 from lambent_server.core.clock import now
@@ -25,6 +25,7 @@ from lambent_server.core.secrets import sha256_text
 from lambent_server.database.cluster_schema import login_codes
 from lambent_server.database.engine import Database
 from lambent_server.database.people_schema import members, users
+from lambent_server.database.rows import one
 from lambent_server.database.schema import api_keys, sessions
 from lambent_server.database.tenancy import Tenant, across_tenants, add, remove
 from lambent_server.services import Services
@@ -69,22 +70,22 @@ def issue_login_code(
 def redeem_login_code(connection: Connection, code: str) -> Redeemed | None:
     """Return what a code stands for, and invalidate it; None if it is unknown, used or too old."""
     mine = delete(login_codes).where(login_codes.c.code_sha256 == sha256_text(code))
-    row: Any = connection.execute(mine.returning(login_codes)).mappings().one_or_none()
-    if row is None or row["expires_at"] <= now():
+    row = connection.execute(mine.returning(login_codes)).one_or_none()
+    if row is None or row.expires_at <= now():
         return None
     until = None
-    if row["maker_session"] is not None:
-        parent = across_tenants(sessions).where(sessions.c.token_sha256 == row["maker_session"])
+    if row.maker_session is not None:
+        parent = across_tenants(sessions).where(sessions.c.token_sha256 == row.maker_session)
         # Locked: a logout now would not find the session that is opened with this link.
-        session = connection.execute(parent.with_for_update()).mappings().one_or_none()
-        until = None if session is None else session["expires_at"]
+        session = connection.execute(parent.with_for_update()).one_or_none()
+        until = None if session is None else session.expires_at
         if until is None or until <= now():
             return None
     return Redeemed(
-        tenant=Tenant(row["tenant_id"]),
-        made_at=row["created_at"],
+        tenant=Tenant(row.tenant_id),
+        made_at=row.created_at,
         maker=maker_of(row),
-        session=row["maker_session"],
+        session=row.maker_session,
         until=until,
     )
 
@@ -151,12 +152,12 @@ def who_of_key(services: Services, key: str) -> Who | None:
         return None
     with services.database.read() as connection:
         statement = keys_with_people().where(api_keys.c.key_sha256 == sha256_text(key))
-        row: Any = connection.execute(statement).mappings().one_or_none()
+        row = one(connection, statement, UsedKey)
     scopes = None if row is None else scopes_of_key(row)
-    if scopes is None:
+    if row is None or scopes is None:
         return None
-    services.key_uses[row["id"]] = now()
-    return Who(tenant=Tenant(row["tenant_id"]), kind="key", id=row["id"], scopes=scopes)
+    services.key_uses[row.id] = now()
+    return Who(tenant=Tenant(row.tenant_id), kind="key", id=row.id, scopes=scopes)
 
 
 def who_of_session(database: Database, token: str, login_name: str | None = None) -> Who | None:
@@ -170,28 +171,25 @@ def who_of_session(database: Database, token: str, login_name: str | None = None
     statement = with_user(with_organisation(sessions, *columns), sessions)
     with database.read() as connection:
         mine = sessions.c.token_sha256 == sha256_text(token)
-        row: Any = connection.execute(statement.where(mine)).mappings().one_or_none()
-        by_link = row is not None and row["user_id"] is None
-        given = (
-            scopes_of_maker(connection, Tenant(row["tenant_id"]), maker_of(row)) if by_link else frozenset()
-        )
-    if row is None or row["expires_at"] <= now() or row["closed_at"] is not None:
-        return None
-    tenant = Tenant(row["tenant_id"])
-    if by_link:
+        row = connection.execute(statement.where(mine)).one_or_none()
+        if row is None or row.expires_at <= now() or row.closed_at is not None:
+            return None
+        tenant = Tenant(row.tenant_id)
+        given = scopes_of_maker(connection, tenant, maker_of(row)) if row.user_id is None else frozenset()
+    if row.user_id is None:
         # Only who may make such a link has ADMIN; without, its maker has lost that, or has left.
         if ADMIN not in given:
             return None
         return Who(tenant=tenant, kind="session", id="", scopes=given, link_maker=maker_of(row))
-    if row["disabled_at"] is not None or row["role"] is None:
+    if row.disabled_at is not None or row.role is None:
         return None
-    if row["issuer"] == PROXY and row["subject"] != login_name:
+    if row.issuer == PROXY and row.subject != login_name:
         return None
-    return Who(tenant=tenant, kind="user", id=row["user_id"], scopes=of_role(row["role"]))
+    return Who(tenant=tenant, kind="user", id=row.user_id, scopes=of_role(row.role))
 
 
-def share_of_token(database: Database, secret: str, token: str, bundle_id: str) -> Row | None:
+def share_of_token(database: Database, secret: str, token: str, bundle_id: str) -> FoundShare | None:
     """Return the link to a bundle that a token belongs to, active or ended; None for other tokens."""
     with database.read() as connection:
         share = signed(connection, secret, token)
-    return share if share is not None and share["bundle_id"] == bundle_id else None
+    return share if share is not None and share.bundle_id == bundle_id else None

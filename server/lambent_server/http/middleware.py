@@ -207,9 +207,9 @@ class Gate:
                 state["cross_origin"] = headers["origin"]
             if share is not None and is_active(share):
                 state["by_share"] = True
-                state["credential"] = f"link {share['id']}"
-                tenant = Tenant(share["tenant_id"])
-                return Who(tenant=tenant, kind="link", id=share["id"], scopes=frozenset({READ}))
+                state["credential"] = f"link {share.id}"
+                tenant = Tenant(share.tenant_id)
+                return Who(tenant=tenant, kind="link", id=share.id, scopes=frozenset({READ}))
             return None
         token = cookie_token(headers.get("cookie", ""))
         state["credential"] = _name("session", token or "")

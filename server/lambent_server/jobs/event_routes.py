@@ -146,7 +146,8 @@ class _Stream:
             found = many(connection, statement, JobRow) if unknown else []
             known = self._names & set(self._known) if self._names else frozenset(self._known)
             statement = rows(self._tenant, jobs, jobs.c.id, jobs.c.event_seq)
-            seqs = dict(connection.execute(statement.where(jobs.c.id.in_(sorted(known)))).all())  # type: ignore[arg-type]
+            numbered = connection.execute(statement.where(jobs.c.id.in_(sorted(known))))
+            seqs = {job.id: job.event_seq for job in numbered}
             if missing := self._names - {job.id for job in found} - set(seqs):
                 raise not_found("job", min(missing))
             # First, so that every message says where the client is in all of them.
@@ -248,8 +249,7 @@ class _Stream:
             if not found:
                 break
             messages += [
-                self._message("event", job_id, row["seq"], encode(job_queries.show_event(row)))
-                for row in found
+                self._message("event", job_id, row.seq, encode(job_queries.show_event(row))) for row in found
             ]
         return messages
 

@@ -290,7 +290,7 @@ def _read(
         found = read_events(connection, tenant, job_id, events[-1][0] if events else start, BATCH)
         if not found:
             break
-        events += [(row["seq"], encode(job_queries.show_event(row))) for row in found]
+        events += [(row.seq, encode(job_queries.show_event(row))) for row in found]
     snapshot = None
     if len(known) < len(told):
         job = job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, job_id))

@@ -57,14 +57,14 @@ def tail(services: Services, tenant: Tenant, job_id: str, run: int, num_bytes: i
                 file.seek(max(here - num_bytes, 0))
                 return file.read(num_bytes)
         mine = rows(tenant, run_logs).where(run_logs.c.job_id == job_id, run_logs.c.run == run)
-        ended = connection.execute(mine).mappings().one_or_none()
+        ended = connection.execute(mine).one_or_none()
         if ended is None:
             pieces = _pieces_of(tenant, job_id, run).order_by(run_log_pieces.c.start)
-            found = [row["data"] for row in connection.execute(pieces).mappings()]
+            found = [row.data for row in connection.execute(pieces)]
             return b"".join(found)[-num_bytes:] if found else None
-    size = int(ended["size_bytes"])
+    size = int(ended.size_bytes)
     try:
-        return b"".join(services.store.read(ended["sha256"], size, max(size - num_bytes, 0), size))
+        return b"".join(services.store.read(ended.sha256, size, max(size - num_bytes, 0), size))
     except Problem as problem:
         log.warning("log_lost", job=job_id, run=run, code=problem.code)
         return None
@@ -233,7 +233,7 @@ class LogCopier:
         self._copy(tenant, job_id, run)
         with database.read() as connection:
             pieces = _pieces_of(tenant, job_id, run).order_by(run_log_pieces.c.start)
-            data = b"".join(row["data"] for row in connection.execute(pieces).mappings())
+            data = b"".join(row.data for row in connection.execute(pieces))
         path = self._services.settings.scratch / f"{job_id}-{run}.log"
         try:
             path.write_bytes(data[-KEPT_BYTES:])

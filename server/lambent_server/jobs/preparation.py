@@ -1,11 +1,9 @@
 """Which checkpoints are kept, and which a run is offered: cameras and masks stay with their scene."""
 
-from collections.abc import Mapping
-from typing import Any
-
 from sqlalchemy import Connection
 
-from lambent_server.database.model import JobRow
+from lambent_server.database.model import CheckpointRow, JobRow
+from lambent_server.database.rows import many
 from lambent_server.database.schema import checkpoints, jobs
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.jobs.checkpoints import drop_checkpoint, drop_where
@@ -19,7 +17,6 @@ PREPARES = frozenset({"train", "prepare"})
 
 BY_NUMBER = (checkpoints.c.number, checkpoints.c.id)
 """The order in which checkpoints were committed: clocks differ, and are set back."""
-Row = Mapping[str, Any]
 
 
 def scene_of_checkpoint(job: JobRow, stage: str) -> str | None:
@@ -27,7 +24,7 @@ def scene_of_checkpoint(job: JobRow, stage: str) -> str | None:
     return job.scene_id if stage in KEPT_WITH_SCENE and job.kind in PREPARES else None
 
 
-def offered_checkpoints(connection: Connection, tenant: Tenant, job: JobRow) -> list[Row]:
+def offered_checkpoints(connection: Connection, tenant: Tenant, job: JobRow) -> list[CheckpointRow]:
     """Return the checkpoints that a run of the job may go on from, oldest first.
 
     Those of the job, and of each stage that is kept with the scene the newest one of an earlier job, unless
@@ -36,15 +33,14 @@ def offered_checkpoints(connection: Connection, tenant: Tenant, job: JobRow) -> 
     mine = checkpoints.c.job_id == job.id
     if job.kind in PREPARES:
         mine |= checkpoints.c.scene_id == job.scene_id
-    found = connection.execute(rows(tenant, checkpoints).where(mine).order_by(*BY_NUMBER)).mappings()
-    own: list[Row] = []
-    kept: dict[str, Row] = {}
-    for row in map(dict, found):
-        if row["job_id"] == job.id:
+    own: list[CheckpointRow] = []
+    kept: dict[str, CheckpointRow] = {}
+    for row in many(connection, rows(tenant, checkpoints).where(mine).order_by(*BY_NUMBER), CheckpointRow):
+        if row.job_id == job.id:
             own.append(row)
         else:
-            kept[row["stage"]] = row
-    stages = {row["stage"] for row in own}
+            kept[row.stage] = row
+    stages = {row.stage for row in own}
     return [row for stage, row in kept.items() if stage not in stages] + own
 
 
@@ -52,11 +48,11 @@ def drop_superseded(connection: Connection, tenant: Tenant, job: JobRow, newest:
     """Delete the checkpoints that no later run would use, now that the job has one more, `newest`."""
     own = rows(tenant, checkpoints).where(checkpoints.c.job_id == job.id, checkpoints.c.scene_id.is_(None))
     newest_of_stage: set[str] = set()
-    kept = connection.execute(own.order_by(*(column.desc() for column in BY_NUMBER))).mappings().all()
+    kept = many(connection, own.order_by(*(column.desc() for column in BY_NUMBER)), CheckpointRow)
     for place, row in enumerate(kept):
-        if place >= KEPT_CHECKPOINTS and row["stage"] in newest_of_stage:
-            drop_checkpoint(connection, tenant, row["id"])
-        newest_of_stage.add(row["stage"])
+        if place >= KEPT_CHECKPOINTS and row.stage in newest_of_stage:
+            drop_checkpoint(connection, tenant, row.id)
+        newest_of_stage.add(row.stage)
     scene_id = scene_of_checkpoint(job, stage)
     if scene_id is not None:
         # An unfinished job with other settings may still need its own.

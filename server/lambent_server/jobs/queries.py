@@ -9,22 +9,22 @@ from typing import Any
 from sqlalchemy import Connection, Select
 
 from lambent_server.accounts import quotas
-from lambent_server.accounts.makers import columns_of
+from lambent_server.accounts.makers import columns_of, maker_of
 from lambent_server.accounts.who import NOBODY, Maker
 from lambent_server.api import labels as label_rows
 from lambent_server.api.change_messages import JobChange
 from lambent_server.api.idempotency import made_before
-from lambent_server.api.messages import Event, Job, NewJob, Preset
+from lambent_server.api.messages import Artifact, Event, Job, NewJob, Preset
 from lambent_server.api.pagination import PageFilter, read_page
 from lambent_server.api.parameters import SIZE_STEP, odd_size
-from lambent_server.api.problems import Detail, Problem, conflict, invalid, not_found
+from lambent_server.api.problems import Detail, Problem, conflict, invalid
+from lambent_server.api.resources import require
 from lambent_server.cluster.membership import most_gpus
 from lambent_server.core.clock import new_id, now, rfc3339
 from lambent_server.core.settings import Settings
-from lambent_server.database.model import JobRow
-from lambent_server.database.rows import one
+from lambent_server.database.model import ArtifactRow, EventRow, JobRow, SceneRow
 from lambent_server.database.schema import job_labels, jobs, scenes
-from lambent_server.database.tenancy import Tenant, add, by_id, find, rows
+from lambent_server.database.tenancy import Tenant, add, find, rows
 from lambent_server.jobs import bakes as bake_rows
 from lambent_server.jobs import counts as job_counts
 from lambent_server.jobs.pages import Wanted, page
@@ -71,14 +71,7 @@ def require_preset(name: str) -> Preset:
 
 def require_job(connection: Connection, tenant: Tenant, job_id: str, *, lock: bool = False) -> JobRow:
     """Return the job's row."""
-    job = one(connection, by_id(tenant, jobs, job_id, lock=lock), JobRow)
-    if job is None:
-        raise not_found("job", job_id)
-    return job
-
-
-def _time(at: float | None) -> str | None:
-    return None if at is None else rfc3339(at)
+    return require(connection, tenant, JobRow, "job", job_id, lock=lock)
 
 
 def show(connection: Connection, tenant: Tenant, row: JobRow) -> Job:
@@ -90,8 +83,8 @@ def show_all(connection: Connection, tenant: Tenant, found: Sequence[JobRow]) ->
     """Return jobs in the form of the REST interface; their scenes and bundles are looked up together."""
     wanted = {row.scene_id for row in found}
     columns = (scenes.c.id, scenes.c.name, scenes.c.thumbnail_sha256)
-    known = connection.execute(rows(tenant, scenes, *columns).where(scenes.c.id.in_(wanted))).mappings()
-    by_id = {scene["id"]: scene for scene in known}
+    known = connection.execute(rows(tenant, scenes, *columns).where(scenes.c.id.in_(wanted)))
+    by_id = {scene.id: scene for scene in known}
     results = [row.bundle_id for row in found if row.bundle_id]
     made = thumbnail_urls(connection, tenant, results) if results else {}
     return [_show(row, by_id.get(row.scene_id), made.get(row.bundle_id or "")) for row in found]
@@ -119,21 +112,32 @@ def _show(row: JobRow, scene: Any, result_url: str | None) -> Job:
                 "bundle_id",
             ]
         },
-        scene_name="" if scene is None else scene["name"],
+        scene_name="" if scene is None else scene.name,
         batch_id=row.order_id if row.kind == "batch" else None,
-        thumbnail_url=result_url or blob_url(row.preview_sha256 or (scene and scene["thumbnail_sha256"])),
+        thumbnail_url=result_url or blob_url(row.preview_sha256 or (scene and scene.thumbnail_sha256)),
         created_at=rfc3339(row.created_at),
-        started_at=_time(row.started_at),
-        finished_at=_time(row.finished_at),
-        retry_at=_time(row.retry_at),
+        started_at=rfc3339(row.started_at),
+        finished_at=rfc3339(row.finished_at),
+        retry_at=rfc3339(row.retry_at),
         last_event=row.event_seq,
     )
 
 
-def show_event(row: Any) -> Event:
+def show_event(row: EventRow) -> Event:
     """Return an event of a job's history in the form of the REST interface."""
     names = ["job_id", "seq", "type", "run", "state", "progress", "message", "sha256", "name"]
-    return Event(at=rfc3339(row["at"]), **{name: row[name] for name in names})
+    return Event(at=rfc3339(row.at), **{name: getattr(row, name) for name in names})
+
+
+def show_artifact(row: ArtifactRow) -> Artifact:
+    """Return a file that a job has published in the form of the REST interface."""
+    return Artifact(
+        name=row.name,
+        sha256=row.sha256,
+        size_bytes=int(row.size_bytes),
+        media_type=row.media_type,
+        url=f"/v1/blobs/{row.sha256}",
+    )
 
 
 def order_of(row: JobRow) -> NewJob:
@@ -173,7 +177,7 @@ def submit(
 ) -> JobRow:
     """Add a job to the queue; raises the problem if it cannot be accepted."""
     gpus = _check_order(connection, order, services)
-    scene = find(connection, tenant, scenes, order.scene_id)
+    scene = find(connection, tenant, SceneRow, order.scene_id)
     if scene is None:
         raise Problem(
             404,
@@ -181,10 +185,10 @@ def submit(
             f"there is no scene {order.scene_id!r}",
             errors=(Detail("#/scene_id", "no such scene"),),
         )
-    if scene["state"] == "open":
+    if scene.state == "open":
         raise conflict("scene_not_committed", "the upload of this scene is not finished; call :commit first")
-    if scene["state"] == "rejected":
-        findings = (scene["report"] or {}).get("findings", [])
+    if scene.state == "rejected":
+        findings = (scene.report or {}).get("findings", [])
         raise conflict(
             "scene_rejected",
             "this scene cannot be used; fix the problems listed in `findings`",
@@ -228,13 +232,7 @@ def check_priority(priority: int, settings: Settings) -> None:
 
 def submit_again(connection: Connection, tenant: Tenant, job: JobRow, services: Services) -> JobRow:
     """Add a job with the request of another one; its webhook stays that of whoever asked for the first."""
-    return submit(
-        connection,
-        tenant,
-        order_of(job),
-        services,
-        maker=Maker(user_id=job.maker_user_id, key_id=job.maker_key_id),
-    )
+    return submit(connection, tenant, order_of(job), services, maker=maker_of(job))
 
 
 def num_unfinished(connection: Connection, tenant: Tenant) -> int:

@@ -1,14 +1,15 @@
 """Deletion of jobs, bundles and environments, unless an unfinished job needs them."""
 
 from collections.abc import Iterator
-from typing import Any
 
 from sqlalchemy import Connection, Table
 
 from lambent_server import provenance
 from lambent_server.api import labels as label_rows
 from lambent_server.api.idempotency import forget as forget_keys
-from lambent_server.api.problems import conflict, not_found
+from lambent_server.api.problems import conflict
+from lambent_server.api.resources import require
+from lambent_server.database.model import BundleRow, EnvironmentRow
 from lambent_server.database.schema import (
     artifacts,
     bundle_files,
@@ -21,7 +22,7 @@ from lambent_server.database.schema import (
     render_orders,
     shares,
 )
-from lambent_server.database.tenancy import Tenant, change, find, remove, rows
+from lambent_server.database.tenancy import Tenant, change, remove, rows
 from lambent_server.jobs.checkpoints import drop_checkpoints
 from lambent_server.jobs.logs import forget as forget_logs
 from lambent_server.jobs.queries import require_job
@@ -51,11 +52,11 @@ def delete_job(connection: Connection, tenant: Tenant, job_id: str) -> None:
 
 def delete_bundle(connection: Connection, tenant: Tenant, bundle_id: str) -> None:
     """Delete a bundle with its files and the links to it; the job that made it stays."""
-    bundle = _require(connection, tenant, bundles, "bundle", bundle_id)
+    bundle = require(connection, tenant, BundleRow, "bundle", bundle_id, lock=True)
     _require_unused(connection, tenant, "bundle", bundle_id)
     _forget(connection, tenant, bundle_files, bundle_id=bundle_id)
     connection.execute(remove(tenant, shares).filter_by(bundle_id=bundle_id))
-    made_by = change(tenant, jobs).filter_by(id=bundle["job_id"], bundle_id=bundle_id)
+    made_by = change(tenant, jobs).filter_by(id=bundle.job_id, bundle_id=bundle_id)
     connection.execute(made_by.values(bundle_id=None))
     label_rows.forget(connection, tenant, bundle_id)
     provenance.forget(connection, tenant, bundle_id)
@@ -64,17 +65,10 @@ def delete_bundle(connection: Connection, tenant: Tenant, bundle_id: str) -> Non
 
 def delete_environment(connection: Connection, tenant: Tenant, environment_id: str) -> None:
     """Delete an environment; pictures that were rendered with it stay."""
-    _require(connection, tenant, environments, "environment", environment_id)
+    require(connection, tenant, EnvironmentRow, "environment", environment_id, lock=True)
     _require_unused(connection, tenant, "environment", environment_id)
     _forget(connection, tenant, environments, id=environment_id)
     forget_keys(connection, tenant, environment_id)
-
-
-def _require(connection: Connection, tenant: Tenant, table: Table, kind: str, identifier: str) -> Any:
-    row = find(connection, tenant, table, identifier, lock=True)
-    if row is None:
-        raise not_found(kind, identifier)
-    return row
 
 
 def _forget(connection: Connection, tenant: Tenant, table: Table, **having: str) -> None:
@@ -98,7 +92,8 @@ def _needs(connection: Connection, tenant: Tenant) -> Iterator[tuple[str, set[st
     found = connection.execute(going_on).all()
     ordered = rows(tenant, render_orders, render_orders.c.id, render_orders.c.spec)
     order_ids = {order_id for _, _, order_id in found if order_id is not None}
-    specs = dict(iter(connection.execute(ordered.where(render_orders.c.id.in_(order_ids)))))
+    named = connection.execute(ordered.where(render_orders.c.id.in_(order_ids)))
+    specs = {order.id: order.spec for order in named}
     for job_id, params, order_id in found:
         order = specs.get(order_id, {"assets": (), "environments": ()})
         needed = {asset["bundle_id"] for asset in order["assets"]}

@@ -13,7 +13,6 @@ from pydantic import Field
 from lambent_server.accounts import audit
 from lambent_server.api.change_messages import JobChange
 from lambent_server.api.messages import (
-    Artifact,
     ArtifactList,
     Estimate,
     EventList,
@@ -27,6 +26,7 @@ from lambent_server.api.messages import (
 from lambent_server.api.pagination import FilePageFilter, LabelFilter, LongPageFilter, select_ordered
 from lambent_server.api.problems import conflict
 from lambent_server.api.resources import IdempotencyKey, IfMatch, ResourceRoute, require_match
+from lambent_server.database.model import ArtifactRow, EventRow
 from lambent_server.database.schema import artifacts, events
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.http.common import Id, ServicesOf, TenantOf, WhoOf, problems, require_key
@@ -202,6 +202,7 @@ def list_events(
         job_queries.require_job(connection, tenant, job_id)
         found, cursor = select_ordered(
             connection,
+            EventRow,
             rows(tenant, events).where(events.c.job_id == job_id, events.c.seq > given.after),
             [events.c.seq],
             page=given,
@@ -240,18 +241,9 @@ def list_artifacts(
         job_queries.require_job(connection, tenant, job_id)
         found, cursor = select_ordered(
             connection,
+            ArtifactRow,
             rows(tenant, artifacts).where(artifacts.c.job_id == job_id),
             [artifacts.c.name],
             page=given,
         )
-        items = [
-            Artifact(
-                name=row["name"],
-                sha256=row["sha256"],
-                size_bytes=row["size_bytes"],
-                media_type=row["media_type"],
-                url=f"/v1/blobs/{row['sha256']}",
-            )
-            for row in found
-        ]
-    return ArtifactList(items=items, next_cursor=cursor)
+    return ArtifactList(items=[job_queries.show_artifact(row) for row in found], next_cursor=cursor)

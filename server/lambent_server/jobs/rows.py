@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, FromClause, RowMapping, and_, insert, literal_column, or_
+from sqlalchemy import ColumnElement, Connection, FromClause, and_, insert, literal_column, or_
 
 from lambent_server.accounts.usage import add_gpu_time
 from lambent_server.core.clock import now
 from lambent_server.database.engine import announce
-from lambent_server.database.model import JobRow
+from lambent_server.database.model import EventRow, JobRow
+from lambent_server.database.rows import many
 from lambent_server.database.schema import events, jobs
 from lambent_server.database.tenancy import Tenant, change, rows
 from lambent_server.jobs.checkpoints import drop_checkpoints
@@ -139,7 +140,7 @@ def move(connection: Connection, job: JobRow, state: str, message: str = "", **v
 
 def read_events(
     connection: Connection, tenant: Tenant, job_id: str, after: int, limit: int
-) -> list[RowMapping]:
+) -> list[EventRow]:
     """Return up to `limit` events of the history after number `after`."""
     statement = (
         rows(tenant, events)
@@ -147,4 +148,4 @@ def read_events(
         .order_by(events.c.seq)
         .limit(limit)
     )
-    return list(connection.execute(statement).mappings())
+    return many(connection, statement, EventRow)

@@ -15,6 +15,7 @@ from lambent_server.accounts import audit, organisations, usage
 from lambent_server.accounts.who import Who
 from lambent_server.api.problems import conflict
 from lambent_server.core.clock import now
+from lambent_server.database import schema  # noqa: F401 (all tables belong to the metadata)
 from lambent_server.database.columns import metadata
 from lambent_server.database.people_schema import (
     audit_entries,
@@ -57,7 +58,7 @@ def close(services: Services, who: Who) -> int:
     tenant = who.tenant
     # Apart from the jobs: whoever has locked one of them may wait for the log, which this locks.
     with services.database.write() as connection:
-        if organisations.require(connection, tenant)["closed_at"] is None:
+        if organisations.require(connection, tenant).closed_at is None:
             organisations.update(connection, tenant, closed_at=now())
             audit.record(connection, who, "org close", tenant.id)
     with services.database.read() as connection:
@@ -88,7 +89,7 @@ def erase(services: Services, who: Who) -> None:
     with services.database.write() as connection:
         # Before anything is looked at: what an operator adds now waits, and is rolled back when this is done.
         audit.lock(connection, tenant)
-        if organisations.require(connection, tenant)["closed_at"] is None:
+        if organisations.require(connection, tenant).closed_at is None:
             raise conflict(
                 "organisation_open", f"close {tenant.id} first, so that nothing is added meanwhile"
             )

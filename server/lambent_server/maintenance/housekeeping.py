@@ -10,6 +10,8 @@ from lambent_server.cluster import claims
 from lambent_server.core.clock import now, skipped_s
 from lambent_server.core.settings import Settings
 from lambent_server.database.cluster_schema import run_logs
+from lambent_server.database.model import SceneRow
+from lambent_server.database.rows import many
 from lambent_server.database.schema import (
     artifacts,
     blobs,
@@ -67,12 +69,12 @@ def sweep(services: Services) -> int:
     _end_reservations(services)
     before = garbage_before(services.settings)
     with services.database.read() as connection:
-        due = connection.execute(_due(before).limit(AT_ONCE)).mappings().all()
+        due = connection.execute(_due(before).limit(AT_ONCE)).all()
         begun = claims.announced(connection)
     removed = sum(services.store.delete(services.database.write, *deletion) for deletion in begun)
     until = time.monotonic() + SWEEP_S
     for row in due:
-        removed += _remove_blob(services, Tenant(row["tenant_id"]), row["sha256"], before)
+        removed += _remove_blob(services, Tenant(row.tenant_id), row.sha256, before)
         if time.monotonic() > until:
             break
     return removed
@@ -88,7 +90,7 @@ def _end_reservations(services: Services) -> None:
     for row in rows_ended:
         try:
             if direct is not None:
-                direct.discard(Tenant(row["tenant_id"]), row["sha256"])
+                direct.discard(Tenant(row.tenant_id), row.sha256)
         except StoreUnavailableError as error:
             # It counts until its bytes are gone.
             log.warning("reservations_not_ended", reason=str(error))
@@ -132,8 +134,8 @@ def _expire(services: Services) -> None:
         # Literally, as in the condition of the index.
         is_open = scenes.c.state == literal_column("'open'")
         abandoned = across_tenants(scenes).where(is_open, scenes.c.created_at < now() - settings.open_scene_s)
-        for scene in connection.execute(abandoned.limit(SCENES_AT_ONCE)).mappings().all():
-            scene_rows.delete(connection, Tenant(scene["tenant_id"]), dict(scene))
+        for scene in many(connection, abandoned.limit(SCENES_AT_ONCE), SceneRow):
+            scene_rows.delete(connection, Tenant(scene.tenant_id), scene)
 
 
 def _referenced(connection: Connection, tenant: Tenant, sha256: str) -> bool:

@@ -17,8 +17,9 @@ from lambent_server.api import labels as label_rows
 from lambent_server.api.problems import Problem
 from lambent_server.core.clock import now
 from lambent_server.database.cluster_schema import run_logs
+from lambent_server.database.model import BundleRow, JobRow, SceneRow
 from lambent_server.database.schema import bundles, job_labels, jobs, scenes
-from lambent_server.database.tenancy import Tenant, rows
+from lambent_server.database.tenancy import Tenant, find, rows
 from lambent_server.jobs import removals
 from lambent_server.jobs.logs import forget as forget_logs
 from lambent_server.jobs.rows import FINAL
@@ -47,8 +48,8 @@ class Due:
 
 def rules_of(connection: Connection, tenant: Tenant) -> dict[Kind, float]:
     """Return the seconds after which an organisation's things of a kind are deleted."""
-    row: Any = organisations.find(connection, tenant) or {}
-    stored = row.get("retention") or {}
+    row = organisations.find(connection, tenant)
+    stored = (row.retention if row is not None else None) or {}
     return {kind: float(stored[kind]) for kind in KINDS if stored.get(kind) is not None}
 
 
@@ -119,12 +120,12 @@ def delete(services: Services, who: Who, each: Due) -> bool:
     Files go after the commit: until then the deletion may still be rolled back.
     """
     tenant = who.tenant
-    table = {"jobs": jobs, "logs": jobs, "scenes": scenes, "bundles": bundles}[each.kind]
+    kind: type[JobRow | SceneRow | BundleRow]
+    kind = {"jobs": JobRow, "logs": JobRow, "scenes": SceneRow, "bundles": BundleRow}[each.kind]
     try:
         with services.database.write() as connection:
-            statement = rows(tenant, table).where(table.c.id == each.id).with_for_update()
-            row = connection.execute(statement).mappings().one_or_none()
-            if row is None or KEEP in (row["labels"] or {}):
+            row = find(connection, tenant, kind, each.id, lock=True)
+            if row is None or KEEP in (row.labels or {}):
                 return False
             if each.kind == "jobs":
                 removals.delete_job(connection, tenant, each.id)
@@ -132,8 +133,8 @@ def delete(services: Services, who: Who, each: Due) -> bool:
                 removals.delete_bundle(connection, tenant, each.id)
             elif each.kind == "logs":
                 forget_logs(connection, tenant, each.id)
-            else:
-                scene_rows.delete(connection, tenant, dict(row))
+            elif isinstance(row, SceneRow):
+                scene_rows.delete(connection, tenant, row)
             audit.record(connection, who, "retention", each.id, details={"kind": each.kind})
     except Problem as problem:
         # An unfinished job needs it: it is due again in the next round.
@@ -161,9 +162,9 @@ def enforce(services: Services, *, only_logs: bool = False) -> int:
     """
     with services.database.read() as connection:
         enforced = [
-            Tenant(row["tenant_id"])
+            Tenant(row.tenant_id)
             for row in organisations.all_of_them(connection)
-            if row["retention_enforced"] and row["retention"]
+            if row.retention_enforced and row.retention
         ]
         rules = {tenant: rules_of(connection, tenant) for tenant in enforced}
     num_deleted = 0

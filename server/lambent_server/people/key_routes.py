@@ -8,7 +8,7 @@ from lambent_server.accounts import audit, keys
 from lambent_server.accounts.keys import CreatedKey, KeyList, NewKey
 from lambent_server.api.pagination import LongPageFilter, select_newest
 from lambent_server.api.resources import IdempotencyKey, ResourceRoute, digest_of
-from lambent_server.database.schema import api_keys
+from lambent_server.database.model import KeyRow
 from lambent_server.http.common import Id, ServicesOf, TenantOf, WhoOf, problems, require_key
 
 router = APIRouter(tags=["keys"], route_class=ResourceRoute)
@@ -44,7 +44,7 @@ def list_keys(
     """List the keys, newest first, including revoked ones."""
     require_key(request, _WHAT)
     with services.database.read() as connection:
-        found, cursor = select_newest(connection, tenant, api_keys, page=given)
+        found, cursor = select_newest(connection, tenant, KeyRow, page=given)
     return KeyList(items=[keys.show(row) for row in found], next_cursor=cursor)
 
 

@@ -1,20 +1,21 @@
 """Who makes a request, the organisations that a user can switch to, and the audit log."""
 
 import json
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import AwareDatetime, Field
 from sqlalchemy import Connection
 
 from lambent_server.accounts import audit, organisations, users
+from lambent_server.accounts.scopes import of_role
 from lambent_server.accounts.who import Who
 from lambent_server.api.pagination import LongPageFilter, select_newest
 from lambent_server.api.problems import Problem, not_found
 from lambent_server.api.resources import ResourceRoute
 from lambent_server.core.clock import now, rfc3339
+from lambent_server.database.model import AuditRow, KeyRow
 from lambent_server.database.people_schema import audit_entries
-from lambent_server.database.schema import api_keys
 from lambent_server.database.tenancy import Tenant, find
 from lambent_server.http.common import ServicesOf, TenantOf, WhoOf, problems
 from lambent_server.http.identity import cookie_token, end_session, open_session
@@ -48,16 +49,16 @@ def get_me(services: ServicesOf, who: WhoOf) -> Me:
 def _show_me(connection: Connection, who: Who) -> Me:
     organisation = organisations.find(connection, who.tenant)
     user = None if who.user_id is None else users.find(connection, who.user_id)
-    key = find(connection, who.tenant, api_keys, who.id) if who.kind == "key" else None
+    key = find(connection, who.tenant, KeyRow, who.id) if who.kind == "key" else None
     own = [] if who.user_id is None else users.memberships(connection, who.user_id)
     return Me(
         kind=who.kind,
         user_id=who.user_id,
-        name=str((user or key or {"name": ""})["name"]),
+        name=user.name if user else key.name if key else "",
         organisation=who.tenant.id,
-        organisation_name=who.tenant.id if organisation is None else organisation["name"],
+        organisation_name=who.tenant.id if organisation is None else organisation.name,
         scopes=sorted(who.scopes),
-        organisations=[Membership(id=row["tenant_id"], name=row["name"], role=row["role"]) for row in own],
+        organisations=[Membership(id=row.tenant_id, name=row.name, role=row.role) for row in own],
     )
 
 
@@ -70,7 +71,7 @@ def switch_organisation(
         raise Problem(409, "no_user", "only a browser in which a user has signed in can switch")
     target = Tenant(body.organisation)
     with services.database.write() as connection:
-        known = [row for row in users.memberships(connection, who.user_id) if row["tenant_id"] == target.id]
+        known = [row for row in users.memberships(connection, who.user_id) if row.tenant_id == target.id]
         if not known:
             raise not_found("organisation", body.organisation)
         token = cookie_token(request.headers.get("cookie", "")) or ""
@@ -84,7 +85,7 @@ def switch_organisation(
             tenant=target,
             kind="user",
             id=who.id,
-            scopes=users.scopes_of(known[0]),
+            scopes=of_role(known[0].role),
             address=who.address,
             request_id=who.request_id,
         )
@@ -107,12 +108,12 @@ def list_audit_entries(
     if given.until is not None:
         conditions.append(audit_entries.c.at < given.until.timestamp())
     with services.database.read() as connection:
-        found, cursor = select_newest(connection, tenant, audit_entries, *conditions, page=given)
+        found, cursor = select_newest(connection, tenant, AuditRow, *conditions, page=given)
     return AuditEntryList(items=[show_entry(row) for row in found], next_cursor=cursor)
 
 
-def show_entry(row: Any) -> AuditEntry:
+def show_entry(row: AuditRow) -> AuditEntry:
     """Return an entry of the audit log in the form of the REST interface."""
     copied = ("id", "actor_kind", "actor_id", "action", "target", "address", "request_id", "outcome", "hash")
-    details = json.loads(row["details"])
-    return AuditEntry(at=rfc3339(row["at"]), details=details, **{name: row[name] for name in copied})
+    details = json.loads(row.details)
+    return AuditEntry(at=rfc3339(row.at), details=details, **{name: getattr(row, name) for name in copied})

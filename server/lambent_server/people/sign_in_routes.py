@@ -95,8 +95,9 @@ def _begin(services: Services, request: Request, return_to: str) -> Response:
     response = RedirectResponse(address, 303)
     # Lax: the provider sends the browser back, and only the one that began may go on.
     secure = request.url.scheme == "https"
-    kept = {"max_age": int(VALID_S), "path": PATH, "httponly": True, "secure": secure}
-    response.set_cookie(COOKIE, state, samesite="lax", **kept)
+    response.set_cookie(
+        COOKIE, state, max_age=int(VALID_S), path=PATH, httponly=True, samesite="lax", secure=secure
+    )
     return response
 
 
@@ -130,13 +131,13 @@ def _end(
         provider.check_issuer(iss)
         if error or not code:
             raise SignInError("provider_refused", f"the provider says {error[:100]!r}")
-        tokens = provider.exchange(code, begun["verifier"], _callback(request))
-        vouched = of_claims(provider.claims(tokens, begun["nonce"]), services.settings)
+        tokens = provider.exchange(code, begun.verifier, _callback(request))
+        vouched = of_claims(provider.claims(tokens, begun.nonce), services.settings)
         if not all(map(storable, (vouched.issuer, vouched.subject, vouched.email or ""))):
             raise SignInError("claims_invalid", "the claims sub or email hold what is not text")
     except SignInError as failure:
         return _failed(request, failure)
-    return _let_in(services, request, vouched, begun["return_to"])
+    return _let_in(services, request, vouched, begun.return_to)
 
 
 def _take(services: Services, request: Request, state: str) -> Any:
@@ -147,8 +148,7 @@ def _take(services: Services, request: Request, state: str) -> Any:
     mine = (sign_ins.c.state_sha256 == sha256_text(state)) & (sign_ins.c.created_at >= now() - VALID_S)
     with services.database.write() as connection:
         statement = delete(sign_ins).where(mine).returning(sign_ins)
-        row = connection.execute(statement).mappings().one_or_none()
-        return None if row is None else dict(row)
+        return connection.execute(statement).one_or_none()
 
 
 def _failed(request: Request, error: SignInError) -> Response:

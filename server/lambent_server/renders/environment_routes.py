@@ -1,6 +1,6 @@
 """Environments: light from all directions, as OpenEXR or Radiance HDR."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
@@ -12,11 +12,11 @@ from lambent_server.accounts.who import Who
 from lambent_server.api.idempotency import made_before
 from lambent_server.api.messages import Environment, EnvironmentList
 from lambent_server.api.pagination import LongPageFilter, select_newest
-from lambent_server.api.problems import not_found
-from lambent_server.api.resources import IdempotencyKey, ResourceRoute, digest_of
+from lambent_server.api.resources import IdempotencyKey, ResourceRoute, digest_of, require
 from lambent_server.core.clock import new_id, now, rfc3339
+from lambent_server.database.model import EnvironmentRow
 from lambent_server.database.schema import environments
-from lambent_server.database.tenancy import Tenant, add, find
+from lambent_server.database.tenancy import Tenant, add
 from lambent_server.http.common import Id, ServicesOf, TenantOf, WhoOf, binary_body, problems
 from lambent_server.jobs import removals
 from lambent_server.receiving.uploads import Upload, allowance_of, received, storing
@@ -28,12 +28,12 @@ from lambent_server.storage.environment_files import MEDIA_TYPES
 router = APIRouter(tags=["environments"], route_class=ResourceRoute)
 
 
-def _show(row: Any) -> Environment:
+def _show(row: EnvironmentRow) -> Environment:
     names = ["id", "name", "format", "width", "height", "sha256", "size_bytes"]
     return Environment(
-        **{name: row[name] for name in names},
-        created_at=rfc3339(row["created_at"]),
-        url=f"/v1/blobs/{row['sha256']}",
+        **{name: getattr(row, name) for name in names},
+        created_at=rfc3339(row.created_at),
+        url=f"/v1/blobs/{row.sha256}",
     )
 
 
@@ -92,14 +92,11 @@ def _take(services: Services, who: Who, name: str, upload: Upload, key: str | No
             )
         )
         audit.record(connection, who, "create_environment", identifier)
-        return _show(find(connection, tenant, environments, identifier))
+        return _show(_require(connection, tenant, identifier))
 
 
-def _require(connection: Connection, tenant: Tenant, environment_id: str) -> Any:
-    row = find(connection, tenant, environments, environment_id)
-    if row is None:
-        raise not_found("environment", environment_id)
-    return row
+def _require(connection: Connection, tenant: Tenant, environment_id: str) -> EnvironmentRow:
+    return require(connection, tenant, EnvironmentRow, "environment", environment_id)
 
 
 @router.get("/v1/environments", responses=problems(422))
@@ -108,7 +105,7 @@ def list_environments(
 ) -> EnvironmentList:
     """List the environments, newest first."""
     with services.database.read() as connection:
-        found, cursor = select_newest(connection, tenant, environments, page=given)
+        found, cursor = select_newest(connection, tenant, EnvironmentRow, page=given)
     return EnvironmentList(items=[_show(row) for row in found], next_cursor=cursor)
 
 

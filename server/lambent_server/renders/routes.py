@@ -10,10 +10,12 @@ from lambent_server.api.messages import Job
 from lambent_server.api.pagination import FilePageFilter, PageFilter, select_newest, select_ordered
 from lambent_server.api.problems import conflict
 from lambent_server.api.resources import IdempotencyKey, ResourceRoute, digest_of
+from lambent_server.database.model import ArtifactRow, OrderRow
 from lambent_server.database.schema import artifacts, render_orders
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.http.common import Id, ServicesOf, TenantOf, WhoOf, problems
 from lambent_server.jobs import queries as job_queries
+from lambent_server.jobs.queries import show_artifact
 from lambent_server.jobs.rows import CANCELLED, CANCELLING, QUEUED, RETRY_WAIT, RUNNING
 from lambent_server.renders import rows as render_rows
 from lambent_server.renders.messages import (
@@ -44,7 +46,7 @@ def submit_render(
             key,
             digest_of(render_rows.RENDER, body),
         )
-        job = render_rows.first_job(connection, tenant, row["id"])
+        job = render_rows.first_job(connection, tenant, row.id)
         shown = job_queries.show(connection, tenant, job)
         audit.record(connection, who, "submit_render", shown.id)
     services.wakeups.signal()
@@ -72,7 +74,7 @@ def list_batches(services: ServicesOf, tenant: TenantOf, given: Annotated[PageFi
     """List batches, newest first."""
     with services.database.read() as connection:
         found, cursor = select_newest(
-            connection, tenant, render_orders, render_orders.c.kind == render_rows.BATCH, page=given
+            connection, tenant, OrderRow, render_orders.c.kind == render_rows.BATCH, page=given
         )
         return BatchList(
             items=[render_rows.show(connection, tenant, row) for row in found], next_cursor=cursor
@@ -97,7 +99,7 @@ def cancel_batch(services: ServicesOf, tenant: TenantOf, who: WhoOf, batch_id: I
     with services.database.write() as connection:
         row = render_rows.require_order(connection, tenant, batch_id, render_rows.BATCH, lock=True)
         states = set()
-        for job in render_rows.newest_jobs(connection, tenant, row["id"]):
+        for job in render_rows.newest_jobs(connection, tenant, row.id):
             job = job_queries.require_job(connection, tenant, job.id, lock=True)
             states.add(job.state)
             job_queries.cancel(connection, job)
@@ -129,16 +131,13 @@ def list_batch_artifacts(
     """Return the files that the jobs of a batch have published, by name."""
     with services.database.read() as connection:
         row = render_rows.require_order(connection, tenant, batch_id, render_rows.BATCH)
-        identifiers = [job.id for job in render_rows.newest_jobs(connection, tenant, row["id"])]
+        identifiers = [job.id for job in render_rows.newest_jobs(connection, tenant, row.id)]
         found, cursor = select_ordered(
             connection,
+            ArtifactRow,
             rows(tenant, artifacts).where(artifacts.c.job_id.in_(identifiers)),
             [artifacts.c.name, artifacts.c.job_id],
             page=given,
         )
-        names = ("job_id", "name", "sha256", "size_bytes", "media_type")
-        items = [
-            BatchArtifact(**{name: each[name] for name in names}, url=f"/v1/blobs/{each['sha256']}")
-            for each in found
-        ]
+        items = [BatchArtifact(job_id=each.job_id, **show_artifact(each).model_dump()) for each in found]
     return BatchArtifactList(items=items, next_cursor=cursor)

@@ -11,12 +11,10 @@ from lambent_server.api.idempotency import made_before
 from lambent_server.api.problems import Detail, Problem, conflict, invalid, not_found
 from lambent_server.cluster.membership import total_slots
 from lambent_server.core.clock import new_id, now, rfc3339
-from lambent_server.database.model import JobRow
-from lambent_server.database.rows import many
+from lambent_server.database.model import BundleFileRow, BundleRow, EnvironmentRow, JobRow, OrderRow
+from lambent_server.database.rows import many, one
 from lambent_server.database.schema import (
     bundle_files,
-    bundles,
-    environments,
     events,
     jobs,
     render_orders,
@@ -39,7 +37,6 @@ from lambent_server.services import Services
 RENDER = "render"
 BATCH = "batch"
 KINDS = (RENDER, BATCH)
-Row = dict[str, Any]
 
 
 def submit_once(
@@ -50,7 +47,7 @@ def submit_once(
     services: Services,
     key: str | None,
     digest: str,
-) -> Row:
+) -> OrderRow:
     """Queue an order, or return the one that was submitted earlier with this key."""
     order_id = new_id(kind)
     known = made_before(connection, tenant, key, digest, order_id)
@@ -61,7 +58,7 @@ def submit_once(
 
 def submit(
     connection: Connection, tenant: Tenant, kind: str, order: NewBatch, services: Services, order_id: str
-) -> Row:
+) -> OrderRow:
     """Queue the jobs of an order; raises the problem if it cannot be accepted."""
     order = _named(connection, tenant, order, single=kind == RENDER)
     num_pictures = _count_pictures(connection, tenant, order, services, single=kind == RENDER)
@@ -148,9 +145,9 @@ def is_summary(job: JobRow, num_shards: int) -> bool:
 
 
 def _num_shards(connection: Connection, tenant: Tenant, order_id: str) -> int:
-    row = find(connection, tenant, render_orders, order_id)
+    row = find(connection, tenant, OrderRow, order_id)
     assert row is not None
-    return int(row["num_shards"])
+    return row.num_shards
 
 
 def waits_for_parts(table: FromClause = jobs) -> ColumnElement[bool]:
@@ -176,12 +173,12 @@ def waits_for_parts(table: FromClause = jobs) -> ColumnElement[bool]:
 
 def require_order(
     connection: Connection, tenant: Tenant, order_id: str, kind: str, *, lock: bool = False
-) -> Row:
+) -> OrderRow:
     """Return the order's row."""
-    row = find(connection, tenant, render_orders, order_id, lock=lock)
-    if row is None or row["kind"] != kind:
+    row = find(connection, tenant, OrderRow, order_id, lock=lock)
+    if row is None or row.kind != kind:
         raise not_found(kind, order_id)
-    return dict(row)
+    return row
 
 
 def first_job(connection: Connection, tenant: Tenant, order_id: str) -> JobRow:
@@ -198,20 +195,20 @@ def newest_jobs(connection: Connection, tenant: Tenant, order_id: str) -> list[J
     return [found[shard] for shard in sorted(found)]
 
 
-def show(connection: Connection, tenant: Tenant, row: Row) -> Batch:
+def show(connection: Connection, tenant: Tenant, row: OrderRow) -> Batch:
     """Return a batch in the form of the REST interface."""
-    found = newest_jobs(connection, tenant, row["id"])
+    found = newest_jobs(connection, tenant, row.id)
     identifiers = [job.id for job in found]
-    parts = [job for job in found if not is_summary(job, row["num_shards"])]
+    parts = [job for job in found if not is_summary(job, row.num_shards)]
     failed = rows(tenant, events, func.count()).where(
         events.c.job_id.in_(identifiers), events.c.type == "finding"
     )
     return Batch(
-        id=row["id"],
-        name=row["name"],
+        id=row.id,
+        name=row.name,
         state=_state([job.state for job in found]),
-        created_at=rfc3339(row["created_at"]),
-        num_pictures=row["num_pictures"],
+        created_at=rfc3339(row.created_at),
+        num_pictures=row.num_pictures,
         num_done=sum((job.progress or {}).get("step", 0) for job in parts),
         num_failed=connection.execute(failed).scalar_one(),
         job_ids=identifiers,
@@ -228,25 +225,25 @@ def _state(states: Sequence[str]) -> Any:
     return next((state for state in (FAILED, CANCELLED) if state in states), SUCCEEDED)
 
 
-def retry(connection: Connection, tenant: Tenant, row: Row, services: Services) -> None:
+def retry(connection: Connection, tenant: Tenant, row: OrderRow, services: Services) -> None:
     """Queue every part of a batch that failed or was cancelled again."""
-    again = [job for job in newest_jobs(connection, tenant, row["id"]) if job.state in (FAILED, CANCELLED)]
+    again = [job for job in newest_jobs(connection, tenant, row.id) if job.state in (FAILED, CANCELLED)]
     if not again:
-        raise conflict("batch_not_ended", f"no job of batch {row['id']} has failed or was cancelled")
-    _queue_parts(connection, tenant, row["id"], again, services)
+        raise conflict("batch_not_ended", f"no job of batch {row.id} has failed or was cancelled")
+    _queue_parts(connection, tenant, row.id, again, services)
 
 
 def _named(connection: Connection, tenant: Tenant, order: NewBatch, *, single: bool) -> NewBatch:
     """Return the order with the environments' names; everything that it refers to must exist."""
     for index, asset in enumerate(order.assets):
-        if find(connection, tenant, bundles, asset.bundle_id) is None:
+        if find(connection, tenant, BundleRow, asset.bundle_id) is None:
             raise _missing("bundle", asset.bundle_id, "#" if single else f"#/assets/{index}")
     lights = []
     for index, light in enumerate(order.environments):
-        row = find(connection, tenant, environments, light.environment_id)
+        row = find(connection, tenant, EnvironmentRow, light.environment_id)
         if row is None:
             raise _missing("environment", light.environment_id, f"#/environments/{index}")
-        name = light.name or safe_name(row["name"].rpartition(".")[0] or row["name"])
+        name = light.name or safe_name(row.name.rpartition(".")[0] or row.name)
         lights.append(light.model_copy(update={"name": name}))
     named = order.model_copy(update={"environments": lights})
     for pointer, message in clashes(named):
@@ -294,11 +291,11 @@ def _camera_names(connection: Connection, tenant: Tenant, bundle_id: str, servic
     statement = rows(tenant, bundle_files).where(
         bundle_files.c.bundle_id == bundle_id, bundle_files.c.path == "cameras.json"
     )
-    row = connection.execute(statement).mappings().one_or_none()
+    row = one(connection, statement, BundleFileRow)
     if row is None:
         return []
     try:
-        entries = json.loads(services.store.read_all(row["sha256"]))["cameras"]
+        entries = json.loads(services.store.read_all(row.sha256))["cameras"]
         return [str(each.get("name", f"camera_{index:03d}")) for index, each in enumerate(entries)]
     except (ValueError, KeyError, TypeError, AttributeError):
         return []

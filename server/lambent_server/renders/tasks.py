@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from lambent_proto.v1 import render_pb2, worker_pb2
 from sqlalchemy import Connection
 
-from lambent_server.database.model import JobRow
+from lambent_server.database.model import ArtifactRow, JobRow
+from lambent_server.database.rows import many
 from lambent_server.database.schema import artifacts, events
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.jobs.rows import SUCCEEDED, owner
@@ -28,11 +29,11 @@ def describe_task(
     tenant = owner(job)
     order_id, shard = job.part
     row = require_order(connection, tenant, order_id, job.kind)
-    spec = row["spec"]
-    task = render_pb2.RenderTask(spec=json.dumps(spec), shard=shard, num_shards=row["num_shards"])
-    files = []
-    if is_summary(job, row["num_shards"]):
-        parts = newest_jobs(connection, tenant, row["id"])[: row["num_shards"]]
+    spec = row.spec
+    task = render_pb2.RenderTask(spec=json.dumps(spec), shard=shard, num_shards=row.num_shards)
+    files: list[worker_pb2.SceneFile] = []
+    if is_summary(job, row.num_shards):
+        parts = newest_jobs(connection, tenant, row.id)[: row.num_shards]
         files += _part_files(connection, tenant, parts)
         task.failures.extend(_failures(connection, tenant, parts))
     else:
@@ -50,8 +51,8 @@ def _part_files(
         statement = rows(tenant, artifacts).where(
             artifacts.c.job_id == part.id, artifacts.c.name.in_(PART_FILES)
         )
-        for row in connection.execute(statement.order_by(artifacts.c.name)).mappings():
-            yield input_file(f"parts/{part.part[1]:03d}/{row['name']}", row)
+        for row in many(connection, statement.order_by(artifacts.c.name), ArtifactRow):
+            yield input_file(f"parts/{part.part[1]:03d}/{row.name}", row)
 
 
 def _failures(

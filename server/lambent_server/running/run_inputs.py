@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from lambent_proto.v1 import render_pb2
 from sqlalchemy import Connection
 
-from lambent_server.database.model import JobRow
-from lambent_server.database.schema import scenes
+from lambent_server.database.model import JobRow, SceneRow
 from lambent_server.database.tenancy import find
 from lambent_server.jobs import bakes as bake_rows
 from lambent_server.jobs.rows import owner
@@ -37,9 +36,9 @@ def inputs_of(connection: Connection, job: JobRow) -> RunInputs:
         files = bundle_inputs(connection, tenant, bundle, "bundle")
         files += environment_input(connection, tenant, environment, "environment")
         return RunInputs(files=files, name=_INPUTS)
-    scene = find(connection, tenant, scenes, job.scene_id)
+    scene = find(connection, tenant, SceneRow, job.scene_id)
     return RunInputs(
         files=scene_inputs(connection, tenant, job.scene_id),
-        name=scene["name"] if scene is not None else "",
-        check_scene=scene is None or scene["state"] != "ready",
+        name=scene.name if scene is not None else "",
+        check_scene=scene is None or scene.state != "ready",
     )

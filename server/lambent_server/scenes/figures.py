@@ -1,26 +1,23 @@
 """Measurements of a scene, and their page: stored with the scene and replaced by the next check."""
 
 import json
-from collections.abc import Mapping
-from typing import Any
 
 from lambent_proto.v1 import capture_pb2
 from sqlalchemy import Connection
 
 from lambent_server.api.problems import Problem
 from lambent_server.api.rest_json import to_rest
+from lambent_server.database.model import FiguresRow
+from lambent_server.database.rows import one
 from lambent_server.database.schema import scene_figures
 from lambent_server.database.tenancy import Tenant, add, remove, rows
 from lambent_server.storage.store import discard, touch
 
-Row = Mapping[str, Any]
 
-
-def find_figures(connection: Connection, tenant: Tenant, scene_id: str) -> Row | None:
+def find_figures(connection: Connection, tenant: Tenant, scene_id: str) -> FiguresRow | None:
     """Return the row of a scene's figures, or None if nothing was measured."""
     statement = rows(tenant, scene_figures).where(scene_figures.c.scene_id == scene_id)
-    row = connection.execute(statement).mappings().one_or_none()
-    return None if row is None else dict(row)
+    return one(connection, statement, FiguresRow)
 
 
 def forget_figures(connection: Connection, tenant: Tenant, scene_id: str) -> None:
@@ -28,8 +25,8 @@ def forget_figures(connection: Connection, tenant: Tenant, scene_id: str) -> Non
     row = find_figures(connection, tenant, scene_id)
     if row is None:
         return
-    if row["sha256"]:
-        discard(connection, tenant, row["sha256"])
+    if row.sha256:
+        discard(connection, tenant, row.sha256)
     connection.execute(remove(tenant, scene_figures).where(scene_figures.c.scene_id == scene_id))
 
 

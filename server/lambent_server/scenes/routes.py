@@ -17,6 +17,7 @@ from lambent_server.api.messages import NewScene, PlannedFile, Scene, SceneList,
 from lambent_server.api.pagination import LabelFilter, select_newest
 from lambent_server.api.problems import Problem, invalid
 from lambent_server.api.resources import IdempotencyKey, IfMatch, ResourceRoute, digest_of, require_match
+from lambent_server.database.model import FiguresRow, SceneRow
 from lambent_server.database.schema import scene_files, scenes
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.http.common import Id, ServicesOf, Sha, TenantOf, WhoOf, binary_body, problems
@@ -45,7 +46,7 @@ def create_scene(
     services.require_disk()
     with services.database.write() as connection:
         scene = scene_rows.create(connection, tenant, body, key, digest_of("scene", body))
-        audit.record(connection, who, "create_scene", scene["id"])
+        audit.record(connection, who, "create_scene", scene.id)
         return scene_rows.show(scene)
 
 
@@ -54,7 +55,7 @@ def list_scenes(services: ServicesOf, tenant: TenantOf, given: Annotated[LabelFi
     """List scenes, newest first."""
     with services.database.read() as connection:
         found, cursor = select_newest(
-            connection, tenant, scenes, *having(tenant, scenes.c.id, given.label), page=given
+            connection, tenant, SceneRow, *having(tenant, scenes.c.id, given.label), page=given
         )
     return SceneList(items=[scene_rows.show(row) for row in found], next_cursor=cursor)
 
@@ -270,15 +271,15 @@ def get_scene_report(
     return report_of(scene, figures)
 
 
-def _page_of(services: Services, scene: Any, figures: Any) -> Response:
-    if figures is None or not figures["sha256"]:
+def _page_of(services: Services, scene: SceneRow, figures: FiguresRow | None) -> Response:
+    if figures is None or not figures.sha256:
         raise Problem(
             404,
             "report_page_not_found",
-            f"scene {scene['id']} has no page: it is {scene['state']}, and pages are made of scenes that "
+            f"scene {scene.id} has no page: it is {scene.state}, and pages are made of scenes that "
             "were looked at and can be used; ask for format=json",
         )
-    page = services.store.read_all(figures["sha256"])
+    page = services.store.read_all(figures.sha256)
     # A page made from untrusted content: no scripts, nothing from outside, no access to this site.
     policy = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
     headers = {"content-security-policy": policy, "vary": "accept", "cache-control": "private, no-cache"}
@@ -296,13 +297,12 @@ def prefers_html(accept: str) -> bool:
     return weights.get("text/html", 0.0) > next((weight for weight in others if weight), 0.0)
 
 
-def report_of(scene: Any, figures: Any) -> SceneReportAnswer:
+def report_of(scene: SceneRow, figures: FiguresRow | None) -> SceneReportAnswer:
     """Return the report of a scene's row and that of its figures."""
     empty = {"usable": False, "layout": "", "findings": [], "num_train_frames": 0, "num_test_frames": 0}
     return SceneReportAnswer(
-        scene_id=scene["id"],
-        state=scene["state"],
-        checked=scene["state"] in ("ready", "rejected"),
-        figures=None if figures is None else figures["figures"],
-        **(scene["report"] or empty),
+        scene_id=scene.id,
+        state=scene.state,
+        checked=scene.state in ("ready", "rejected"),
+        **{"figures": None if figures is None else figures.figures, **(scene.report or empty)},
     )

@@ -1,7 +1,7 @@
 """Database rows of scenes: planning files, committing, rejecting, deleting."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,18 +11,19 @@ from lambent_server.api import idempotency
 from lambent_server.api import labels as label_rows
 from lambent_server.api.change_messages import SceneChange
 from lambent_server.api.messages import NewScene, Scene
-from lambent_server.api.problems import Detail, Problem, conflict, not_found
+from lambent_server.api.problems import Detail, Problem, conflict
+from lambent_server.api.resources import require
 from lambent_server.core.clock import new_id, now, rfc3339
 from lambent_server.core.settings import Settings
+from lambent_server.database.model import SceneFileRow, SceneRow
+from lambent_server.database.rows import many
 from lambent_server.database.schema import blobs, jobs, scene_files, scenes
-from lambent_server.database.tenancy import Tenant, add, change, find, remove, rows
+from lambent_server.database.tenancy import Tenant, add, change, remove, rows
 from lambent_server.jobs.checkpoints import drop_checkpoints_of_scene
 from lambent_server.jobs.rows import is_unfinished
 from lambent_server.scenes.figures import forget_figures
 from lambent_server.storage.paths import Names, check_path, clash_with, is_scene_file
 from lambent_server.storage.store import blob_url, discard, touch
-
-Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,59 +35,54 @@ class SceneFile:
     size_bytes: int
 
 
-def require_scene(connection: Connection, tenant: Tenant, scene_id: str, *, lock: bool = False) -> Row:
+def require_scene(connection: Connection, tenant: Tenant, scene_id: str, *, lock: bool = False) -> SceneRow:
     """Return the scene's row."""
-    row = find(connection, tenant, scenes, scene_id, lock=lock)
-    if row is None:
-        raise not_found("scene", scene_id)
-    return dict(row)
+    return require(connection, tenant, SceneRow, "scene", scene_id, lock=lock)
 
 
-def require_open(row: Row) -> None:
+def require_open(row: SceneRow) -> None:
     """Refuse to change the files of a scene that has been committed."""
-    if row["state"] != "open":
-        raise conflict(
-            "scene_committed", f"scene {row['id']} is {row['state']}: its files can no longer change"
-        )
+    if row.state != "open":
+        raise conflict("scene_committed", f"scene {row.id} is {row.state}: its files can no longer change")
 
 
-def show(row: Row) -> Scene:
+def show(row: SceneRow) -> Scene:
     """Return the scene in the form of the REST interface."""
     return Scene(
-        id=row["id"],
-        name=row["name"],
-        state=row["state"],
-        layout=row["layout"],
-        created_at=rfc3339(row["created_at"]),
-        committed_at=rfc3339(row["committed_at"]) if row["committed_at"] is not None else None,
-        num_files=row["num_files"],
-        size_bytes=row["size_bytes"],
-        content_sha256=row["content_sha256"],
+        id=row.id,
+        name=row.name,
+        state=row.state,
+        layout=row.layout,
+        created_at=rfc3339(row.created_at),
+        committed_at=rfc3339(row.committed_at),
+        num_files=row.num_files,
+        size_bytes=int(row.size_bytes),
+        content_sha256=row.content_sha256,
         thumbnail_url=thumbnail_url(row),
-        labels=row["labels"] or {},
+        labels=row.labels or {},
     )
 
 
-def thumbnail_url(row: Row) -> str | None:
+def thumbnail_url(row: SceneRow) -> str | None:
     """Return the address of a scene's photograph; None if there is none."""
-    return blob_url(row["thumbnail_sha256"])
+    return blob_url(row.thumbnail_sha256)
 
 
-def set_thumbnail(connection: Connection, tenant: Tenant, scene: Row, sha256: str) -> None:
+def set_thumbnail(connection: Connection, tenant: Tenant, scene: SceneRow, sha256: str) -> None:
     """Replace the photograph of the scene; an empty hash keeps the one it has."""
-    if not sha256 or sha256 == scene["thumbnail_sha256"]:
+    if not sha256 or sha256 == scene.thumbnail_sha256:
         return
     if touch(connection, tenant, sha256) is None:
         raise Problem(422, "blob_missing", f"thumbnail: blob {sha256} was never uploaded")
-    if scene["thumbnail_sha256"]:
-        discard(connection, tenant, scene["thumbnail_sha256"])
-    update = change(tenant, scenes).where(scenes.c.id == scene["id"])
+    if scene.thumbnail_sha256:
+        discard(connection, tenant, scene.thumbnail_sha256)
+    update = change(tenant, scenes).where(scenes.c.id == scene.id)
     connection.execute(update.values(thumbnail_sha256=sha256))
 
 
 def create(
     connection: Connection, tenant: Tenant, order: NewScene, key: str | None = None, digest: str = ""
-) -> Row:
+) -> SceneRow:
     """Add an empty scene, or return the one that was added earlier with this idempotency key."""
     identifier = new_id("scene")
     known = idempotency.made_before(connection, tenant, key, digest, identifier)
@@ -98,15 +94,15 @@ def create(
     return require_scene(connection, tenant, identifier)
 
 
-def change_scene(connection: Connection, tenant: Tenant, scene: Row, order: SceneChange) -> Row:
+def change_scene(connection: Connection, tenant: Tenant, scene: SceneRow, order: SceneChange) -> SceneRow:
     """Change name or labels of a scene; the caller holds its row."""
     values: dict[str, Any] = {} if order.name is None else {"name": order.name}
     if order.labels is not None:
-        values["labels"] = label_rows.merged(scene["labels"], order.labels)
-        label_rows.store(connection, tenant, scene["id"], values["labels"])
+        values["labels"] = label_rows.merged(scene.labels, order.labels)
+        label_rows.store(connection, tenant, scene.id, values["labels"])
     if values:
-        connection.execute(change(tenant, scenes).where(scenes.c.id == scene["id"]).values(**values))
-    return require_scene(connection, tenant, scene["id"])
+        connection.execute(change(tenant, scenes).where(scenes.c.id == scene.id).values(**values))
+    return require_scene(connection, tenant, scene.id)
 
 
 def check_files(files: Sequence[SceneFile], settings: Settings) -> None:
@@ -167,17 +163,17 @@ class FilePlan:
     """Paths that are omitted."""
 
 
-def plan(connection: Connection, tenant: Tenant, scene: Row, files: Sequence[SceneFile]) -> FilePlan:
+def plan(connection: Connection, tenant: Tenant, scene: SceneRow, files: Sequence[SceneFile]) -> FilePlan:
     """Replace the planned files of the scene with `files`."""
     require_open(scene)
-    _forget_files(connection, tenant, scene["id"])
+    _forget_files(connection, tenant, scene.id)
     kept = {file.path: file for file in files if is_scene_file(file.path)}
     unsupported = sorted({file.path for file in files} - set(kept))
     if kept:
         values = [
             {
                 "tenant_id": tenant.id,
-                "scene_id": scene["id"],
+                "scene_id": scene.id,
                 "path": file.path,
                 "sha256": file.sha256,
                 "size_bytes": float(file.size_bytes),
@@ -185,7 +181,7 @@ def plan(connection: Connection, tenant: Tenant, scene: Row, files: Sequence[Sce
             for file in kept.values()
         ]
         connection.execute(insert(scene_files), values)
-    update = change(tenant, scenes).where(scenes.c.id == scene["id"])
+    update = change(tenant, scenes).where(scenes.c.id == scene.id)
     connection.execute(update.values(report=unsupported_report(unsupported)))
     # In one order, so that two plans never wait for each other.
     hashes = sorted({file.sha256 for file in kept.values()})
@@ -206,44 +202,42 @@ def _forget_files(connection: Connection, tenant: Tenant, scene_id: str) -> None
     connection.execute(remove(tenant, scene_files).where(mine))
 
 
-def commit(connection: Connection, tenant: Tenant, scene: Row) -> Row:
+def commit(connection: Connection, tenant: Tenant, scene: SceneRow) -> SceneRow:
     """Finish the upload; every planned file must exist. Repeating it changes nothing."""
-    if scene["state"] != "open":
+    if scene.state != "open":
         return scene
-    mine = scene_files.c.scene_id == scene["id"]
-    files = (
-        connection.execute(rows(tenant, scene_files).where(mine).order_by(scene_files.c.path))
-        .mappings()
-        .all()
-    )
+    mine = scene_files.c.scene_id == scene.id
+    files = many(connection, rows(tenant, scene_files).where(mine).order_by(scene_files.c.path), SceneFileRow)
     if not files:
         raise conflict("scene_empty", "no file is planned; send the list to files:plan, or an archive")
-    held = rows(tenant, blobs, blobs.c.sha256).where(blobs.c.sha256.in_({file["sha256"] for file in files}))
+    held = rows(tenant, blobs, blobs.c.sha256).where(blobs.c.sha256.in_({file.sha256 for file in files}))
     have = set(connection.execute(held).scalars())
-    missing = [file for file in files if file["sha256"] not in have]
+    missing = [file for file in files if file.sha256 not in have]
     if missing:
         errors = tuple(
-            Detail(f"#/files/{file['path']}", f"{file['sha256']} was not sent") for file in missing[:100]
+            Detail(f"#/files/{file.path}", f"{file.sha256} was not sent") for file in missing[:100]
         )
         raise Problem(409, "files_missing", f"{len(missing)} file(s) were not sent yet", errors=errors)
     digest = hashlib.sha256()
     for file in files:
-        digest.update(f"{file['path']}\0{file['sha256']}\n".encode())
+        digest.update(f"{file.path}\0{file.sha256}\n".encode())
     connection.execute(
         change(tenant, scenes)
-        .where(scenes.c.id == scene["id"])
+        .where(scenes.c.id == scene.id)
         .values(
             state="uploaded",
             committed_at=now(),
             content_sha256=digest.hexdigest(),
             num_files=len(files),
-            size_bytes=sum(file["size_bytes"] for file in files),
+            size_bytes=sum(file.size_bytes for file in files),
         )
     )
-    return require_scene(connection, tenant, scene["id"])
+    return require_scene(connection, tenant, scene.id)
 
 
-def reject(connection: Connection, tenant: Tenant, scene: Row, code: str, message: str, subject: str) -> None:
+def reject(
+    connection: Connection, tenant: Tenant, scene: SceneRow, code: str, message: str, subject: str
+) -> None:
     """Mark the scene as unusable, with the reason."""
     finding = {"code": code, "severity": "error", "message": message, "subject": subject}
     report = {
@@ -253,22 +247,22 @@ def reject(connection: Connection, tenant: Tenant, scene: Row, code: str, messag
         "num_train_frames": 0,
         "num_test_frames": 0,
     }
-    _forget_files(connection, tenant, scene["id"])
-    update = change(tenant, scenes).where(scenes.c.id == scene["id"])
+    _forget_files(connection, tenant, scene.id)
+    update = change(tenant, scenes).where(scenes.c.id == scene.id)
     connection.execute(update.values(state="rejected", report=report, committed_at=now()))
 
 
-def delete(connection: Connection, tenant: Tenant, scene: Row) -> None:
+def delete(connection: Connection, tenant: Tenant, scene: SceneRow) -> None:
     """Delete the scene and its files; bundles made from it stay."""
-    busy = rows(tenant, jobs, jobs.c.id).where(jobs.c.scene_id == scene["id"], is_unfinished())
+    busy = rows(tenant, jobs, jobs.c.id).where(jobs.c.scene_id == scene.id, is_unfinished())
     job_id = connection.execute(busy.limit(1)).scalar_one_or_none()
     if job_id is not None:
         raise conflict("scene_in_use", f"job {job_id} uses this scene; cancel it first")
-    _forget_files(connection, tenant, scene["id"])
-    if scene["thumbnail_sha256"]:
-        discard(connection, tenant, scene["thumbnail_sha256"])
-    forget_figures(connection, tenant, scene["id"])
-    drop_checkpoints_of_scene(connection, tenant, scene["id"])
-    label_rows.forget(connection, tenant, scene["id"])
-    idempotency.forget(connection, tenant, scene["id"])
-    connection.execute(remove(tenant, scenes).where(scenes.c.id == scene["id"]))
+    _forget_files(connection, tenant, scene.id)
+    if scene.thumbnail_sha256:
+        discard(connection, tenant, scene.thumbnail_sha256)
+    forget_figures(connection, tenant, scene.id)
+    drop_checkpoints_of_scene(connection, tenant, scene.id)
+    label_rows.forget(connection, tenant, scene.id)
+    idempotency.forget(connection, tenant, scene.id)
+    connection.execute(remove(tenant, scenes).where(scenes.c.id == scene.id))

@@ -5,9 +5,10 @@ an address is given away until it is stored, or the time to send it has ended; t
 deleted, and only then does it no longer count.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
-from sqlalchemy import Connection, RowMapping, case, delete
+from sqlalchemy import Connection, Row, case, delete
 
 from lambent_server.core.clock import now
 from lambent_server.core.settings import Settings
@@ -56,15 +57,15 @@ def use(connection: Connection, tenant: Tenant, sha256: str, settings: Settings)
     connection.execute(used.values(size_bytes=0.0, expires_at=earlier))
 
 
-def ended(connection: Connection) -> list[RowMapping]:
+def ended(connection: Connection) -> Sequence[Row[Any]]:
     """Return reservations that nobody can use any more."""
     due = upload_reservations.c.expires_at < now()
     statement = across_tenants(upload_reservations).where(due).order_by(upload_reservations.c.expires_at)
-    return list(connection.execute(statement.limit(AT_ONCE)).mappings())
+    return connection.execute(statement.limit(AT_ONCE)).all()
 
 
-def forget(connection: Connection, row: RowMapping) -> None:
+def forget(connection: Connection, row: Row[Any]) -> None:
     """Delete a reservation that has ended, unless it was made again meanwhile."""
     table = upload_reservations.c
-    mine = table.tenant_id == row["tenant_id"], table.sha256 == row["sha256"]
-    connection.execute(delete(upload_reservations).where(*mine, table.expires_at == row["expires_at"]))
+    mine = table.tenant_id == row.tenant_id, table.sha256 == row.sha256
+    connection.execute(delete(upload_reservations).where(*mine, table.expires_at == row.expires_at))

@@ -2,8 +2,8 @@
 
 import random
 import secrets
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Select, exists, func, or_, select, update
@@ -13,8 +13,9 @@ from lambent_server.accounts.scopes import ADMIN, SUBMIT
 from lambent_server.core.clock import JUMP_S, now
 from lambent_server.core.settings import Settings
 from lambent_server.database.engine import Database
-from lambent_server.database.schema import jobs
-from lambent_server.database.service_schema import webhook_deliveries, webhook_secrets, webhooks
+from lambent_server.database.model import DeliveryRow, JobRow, SecretRow, WebhookRow
+from lambent_server.database.rows import many, one
+from lambent_server.database.service_schema import webhook_deliveries, webhook_secrets
 from lambent_server.database.tenancy import Tenant, across_tenants, find, rows
 from lambent_server.webhooks.outbox import PENDING
 from lambent_server.webhooks.places import Places
@@ -28,7 +29,14 @@ _LOOKED_AT = 500
 """Deliveries of one tenant among which those are chosen that its hosts have room for. Hosts that are full
 are left out, so the ones behind these are found once the first have filled theirs."""
 _LONGEST_DUE = webhook_deliveries.c.next_at
-Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Claimed(DeliveryRow):
+    """A delivery that one server is making."""
+
+    secrets: tuple[str, ...] = ()
+    """What signs it, the newest first; none if nothing may be sent."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -70,7 +78,7 @@ def _waiting_tenants(settings: Settings) -> Select[Any]:
     return select(tenants.c.id).where(due)
 
 
-def claim(database: Database, settings: Settings, places: Places) -> list[dict[str, Any]]:
+def claim(database: Database, settings: Settings, places: Places) -> list[Claimed]:
     """Return due deliveries, which belong to the caller until it reports their outcome.
 
     As many as `places` has room for; each goes to the tenant whose turn it is. The caller takes the places.
@@ -114,56 +122,58 @@ class _Waiting:
         return None
 
 
-def _take(database: Database, settings: Settings, chosen: Collection[str]) -> list[dict[str, Any]]:
+def _take(database: Database, settings: Settings, chosen: Collection[str]) -> list[Claimed]:
     """Mark those of the chosen deliveries that are still due and that no other server takes right now."""
     due = across_tenants(webhook_deliveries).where(webhook_deliveries.c.id.in_(chosen), is_due(settings))
     token = secrets.token_hex(8)
     with database.write() as connection:
-        taken = connection.execute(due.with_for_update(skip_locked=True)).mappings().all()
-        mine = webhook_deliveries.c.id.in_([row["id"] for row in taken])
-        values = {"claim": token, "next_at": now() + lease_s(settings)}
-        connection.execute(update(webhook_deliveries).where(mine).values(**values))
-        return [{**row, **values, "secrets": _secrets(connection, row)} for row in taken]
+        taken = many(connection, due.with_for_update(skip_locked=True), Claimed)
+        mine = webhook_deliveries.c.id.in_([row.id for row in taken])
+        until = now() + lease_s(settings)
+        connection.execute(update(webhook_deliveries).where(mine).values(claim=token, next_at=until))
+        return [replace(row, claim=token, next_at=until, secrets=_secrets(connection, row)) for row in taken]
 
 
-def _secrets(connection: Connection, row: Row) -> list[str]:
+def _secrets(connection: Connection, row: DeliveryRow) -> tuple[str, ...]:
     """Return what signs a delivery now: the newest secret first.
 
     Nothing for one whose subscription was deleted, or whose maker may have nothing sent any more.
     """
-    tenant = Tenant(row["tenant_id"])
-    found: Any
-    if row["webhook_id"] is None:
-        found = connection.execute(rows(tenant, webhook_secrets)).mappings().one_or_none()
-        asked, needed = find(connection, tenant, jobs, row["job_id"]), SUBMIT
+    tenant = Tenant(row.tenant_id)
+    found: SecretRow | WebhookRow | None
+    asked: JobRow | WebhookRow | None
+    if row.webhook_id is None:
+        found = one(connection, rows(tenant, webhook_secrets), SecretRow)
+        asked, needed = find(connection, tenant, JobRow, row.job_id or ""), SUBMIT
     else:
-        found = asked = find(connection, tenant, webhooks, row["webhook_id"])
+        found = asked = find(connection, tenant, WebhookRow, row.webhook_id)
         needed = ADMIN
     # Of a job that has been deleted, what waits is still sent.
     may = asked is None or needed in scopes_of_maker(connection, tenant, maker_of(asked))
     if found is None or not may:
-        return []
-    overlaps = found["previous_secret"] is not None and (found["previous_until"] or 0.0) > now()
-    return [found["secret"], *([found["previous_secret"]] if overlaps else [])]
+        return ()
+    if found.previous_secret is not None and (found.previous_until or 0.0) > now():
+        return found.secret, found.previous_secret
+    return (found.secret,)
 
 
-def release(database: Database, row: Row) -> None:
+def release(database: Database, row: DeliveryRow) -> None:
     """Give an attempt back that was broken off, so that the next server makes it at once."""
     with database.write() as connection:
-        mine = webhook_deliveries.c.id == row["id"], webhook_deliveries.c.claim == row["claim"]
+        mine = webhook_deliveries.c.id == row.id, webhook_deliveries.c.claim == row.claim
         connection.execute(update(webhook_deliveries).where(*mine).values(claim=None, next_at=now()))
 
 
-def settle(database: Database, settings: Settings, row: Row, outcome: Outcome) -> str | None:
+def settle(database: Database, settings: Settings, row: DeliveryRow, outcome: Outcome) -> str | None:
     """Store the outcome of an attempt and return the new state.
 
     Returns None if the attempt was no longer the caller's. A receiver that answers 410 gets nothing any more.
     """
     with database.write() as connection:
         statement = across_tenants(webhook_deliveries).where(
-            webhook_deliveries.c.id == row["id"], webhook_deliveries.c.claim == row["claim"]
+            webhook_deliveries.c.id == row.id, webhook_deliveries.c.claim == row.claim
         )
-        current = connection.execute(statement.with_for_update()).mappings().one_or_none()
+        current = one(connection, statement.with_for_update(), DeliveryRow)
         if current is None:
             return None
         attempt = {
@@ -174,25 +184,25 @@ def settle(database: Database, settings: Settings, row: Row, outcome: Outcome) -
         }
         values: dict[str, Any] = {
             "claim": None,
-            "num_attempts": current["num_attempts"] + 1,
-            "attempts": [*current["attempts"], attempt][-KEPT_ATTEMPTS:],
+            "num_attempts": current.num_attempts + 1,
+            "attempts": [*current.attempts, attempt][-KEPT_ATTEMPTS:],
             **_next(current, outcome, settings),
         }
         if values["next_at"] is None:
             values["ended_at"] = now()
-        mine = webhook_deliveries.c.id == row["id"]
+        mine = webhook_deliveries.c.id == row.id
         connection.execute(update(webhook_deliveries).where(mine).values(**values))
-        if outcome.status == HTTP_GONE and current["webhook_id"] is not None:
-            disable(connection, Tenant(current["tenant_id"]), current["webhook_id"], GONE)
+        if outcome.status == HTTP_GONE and current.webhook_id is not None:
+            disable(connection, Tenant(current.tenant_id), current.webhook_id, GONE)
         return str(values["state"])
 
 
-def _next(current: Row, outcome: Outcome, settings: Settings) -> dict[str, Any]:
+def _next(current: DeliveryRow, outcome: Outcome, settings: Settings) -> dict[str, Any]:
     """Return the state after an attempt, and when the next one is due."""
     if not outcome.error:
         return {"state": DELIVERED, "next_at": None}
-    due = now() + max(pause_s(current["num_attempts"], settings), outcome.retry_after_s)
-    if outcome.status == HTTP_GONE or due > current["since"] + settings.webhook_give_up_s:
+    due = now() + max(pause_s(current.num_attempts, settings), outcome.retry_after_s)
+    if outcome.status == HTTP_GONE or due > current.since + settings.webhook_give_up_s:
         return {"state": FAILED, "next_at": None}
     return {"state": PENDING, "next_at": due}
 

@@ -1,16 +1,14 @@
 """Writes what is to be told about a job, in the transaction that changes it; sending comes later."""
 
 import json
-from collections.abc import Mapping
-from typing import Any
 
 from sqlalchemy import Connection
 
 from lambent_server.accounts.makers import maker_of, scopes_of_maker
 from lambent_server.accounts.scopes import ADMIN, SUBMIT
-from lambent_server.accounts.who import Maker
 from lambent_server.core.clock import new_id, now, rfc3339
-from lambent_server.database.model import JobRow
+from lambent_server.database.model import JobRow, SecretRow, WebhookRow
+from lambent_server.database.rows import many
 from lambent_server.database.service_schema import webhook_deliveries, webhook_secrets, webhooks
 from lambent_server.database.tenancy import Tenant, add, add_if_absent, rows
 from lambent_server.webhooks.messages import ENDS, PING, DeliveredBody, DeliveredError, DeliveredJob
@@ -18,7 +16,6 @@ from lambent_server.webhooks.signing import new_signing_secret
 
 PENDING = "pending"
 _MESSAGE_CHARACTERS = 1000
-Row = Mapping[str, Any]
 
 
 def tell(connection: Connection, job: JobRow, state: str, seq: int) -> None:
@@ -29,14 +26,13 @@ def tell(connection: Connection, job: JobRow, state: str, seq: int) -> None:
     tenant, event = Tenant(job.tenant_id), f"job.{state}"
     working = rows(tenant, webhooks).where(webhooks.c.disabled_at.is_(None))
     receivers: list[tuple[str | None, str]] = [
-        (row["id"], row["url"])
-        for row in connection.execute(working).mappings()
-        if event in row["events"]
-        and row["labels"].items() <= job.labels.items()
+        (row.id, row.url)
+        for row in many(connection, working, WebhookRow)
+        if event in row.events
+        and row.labels.items() <= job.labels.items()
         and ADMIN in scopes_of_maker(connection, tenant, maker_of(row))
     ]
-    by = Maker(user_id=job.maker_user_id, key_id=job.maker_key_id)
-    if job.webhook and event in ENDS and SUBMIT in scopes_of_maker(connection, tenant, by):
+    if job.webhook and event in ENDS and SUBMIT in scopes_of_maker(connection, tenant, maker_of(job)):
         secret_of_jobs(connection, tenant)
         receivers.append((None, job.webhook))
     if not receivers:
@@ -59,14 +55,14 @@ def _told(job: JobRow, state: str, seq: int) -> DeliveredJob:
         if error
         else None,
         created_at=rfc3339(job.created_at),
-        finished_at=None if job.finished_at is None else rfc3339(job.finished_at),
+        finished_at=rfc3339(job.finished_at),
     )
 
 
-def ping(connection: Connection, tenant: Tenant, webhook: Row) -> str:
+def ping(connection: Connection, tenant: Tenant, webhook: WebhookRow) -> str:
     """Store a delivery that says nothing, and return its id."""
-    body = json.dumps({"type": PING, "timestamp": rfc3339(now()), "data": {"webhook_id": webhook["id"]}})
-    return store(connection, tenant, webhook["id"], None, PING, webhook["url"], body)
+    body = json.dumps({"type": PING, "timestamp": rfc3339(now()), "data": {"webhook_id": webhook.id}})
+    return store(connection, tenant, webhook.id, None, PING, webhook.url, body)
 
 
 def store(
@@ -106,7 +102,8 @@ def host_of(url: str) -> str:
     return "/".join(url.split("?")[0].split("/")[:3]).lower()
 
 
-def secret_of_jobs(connection: Connection, tenant: Tenant) -> dict[str, Any]:
+def secret_of_jobs(connection: Connection, tenant: Tenant) -> SecretRow:
     """Return the row of the secret that signs what jobs ask for themselves; the first call makes it."""
     add_if_absent(connection, tenant, webhook_secrets, secret=new_signing_secret())
-    return dict(connection.execute(rows(tenant, webhook_secrets)).mappings().one())
+    (row,) = many(connection, rows(tenant, webhook_secrets), SecretRow)
+    return row

@@ -10,7 +10,8 @@ from lambent_server.api.pagination import PageFilter, select_newest
 from lambent_server.api.problems import conflict
 from lambent_server.api.resources import IdempotencyKey, IfMatch, ResourceRoute, digest_of, require_match
 from lambent_server.core.clock import new_id
-from lambent_server.database.service_schema import webhook_deliveries, webhooks
+from lambent_server.database.model import DeliveryRow, WebhookRow
+from lambent_server.database.service_schema import webhook_deliveries
 from lambent_server.http.common import Id, ServicesOf, TenantOf, WhoOf, problems, require_key
 from lambent_server.webhooks import outbox as webhook_outbox
 from lambent_server.webhooks import rows as webhook_rows
@@ -67,7 +68,7 @@ def list_webhooks(
 ) -> WebhookList:
     """List subscriptions, newest first."""
     with services.database.read() as connection:
-        found, cursor = select_newest(connection, tenant, webhooks, page=given)
+        found, cursor = select_newest(connection, tenant, WebhookRow, page=given)
     return WebhookList(items=[webhook_rows.show(row) for row in found], next_cursor=cursor)
 
 
@@ -127,7 +128,7 @@ def ping_webhook(services: ServicesOf, tenant: TenantOf, who: WhoOf, webhook_id:
     """Send a message of type `ping`; the delivery tells how that went."""
     with services.database.write() as connection:
         row = webhook_rows.require(connection, tenant, webhook_id)
-        if row["disabled_at"] is not None:
+        if row.disabled_at is not None:
             raise conflict("webhook_disabled", f"webhook {webhook_id} is disabled; enable it first")
         delivery_id = webhook_outbox.ping(connection, tenant, row)
         audit.record(connection, who, "ping_webhook", webhook_id)
@@ -139,7 +140,7 @@ def get_webhook_secret(services: ServicesOf, tenant: TenantOf, who: WhoOf, reque
     """Return the secret that signs what jobs with a `webhook` of their own send; the first call makes it."""
     require_key(request, _WHAT)
     with services.database.write() as connection:
-        secret = webhook_outbox.secret_of_jobs(connection, tenant)["secret"]
+        secret = webhook_outbox.secret_of_jobs(connection, tenant).secret
         audit.record(connection, who, "get_webhook_secret")
         return SigningSecret(secret=secret)
 
@@ -165,7 +166,7 @@ def list_deliveries(
     columns = {"webhook_id": given.webhook, "job_id": given.job, "state": given.state}
     conditions = [webhook_deliveries.c[name] == value for name, value in columns.items() if value is not None]
     with services.database.read() as connection:
-        found, cursor = select_newest(connection, tenant, webhook_deliveries, *conditions, page=given)
+        found, cursor = select_newest(connection, tenant, DeliveryRow, *conditions, page=given)
     return DeliveryList(items=[webhook_rows.show_delivery(row) for row in found], next_cursor=cursor)
 
 

@@ -1,6 +1,5 @@
 """Database rows of webhooks and their deliveries, as the REST interface reads and changes them."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from sqlalchemy import Connection, func
@@ -8,12 +7,14 @@ from sqlalchemy import Connection, func
 from lambent_server.accounts.makers import columns_of
 from lambent_server.accounts.who import NOBODY, Maker
 from lambent_server.api import labels as label_rows
+from lambent_server.api import resources
 from lambent_server.api.idempotency import forget
-from lambent_server.api.problems import Problem, conflict, invalid, not_found
+from lambent_server.api.problems import Problem, conflict, invalid
 from lambent_server.core.clock import new_id, now, rfc3339
 from lambent_server.core.settings import Settings
+from lambent_server.database.model import DeliveryRow, SecretRow, WebhookRow
 from lambent_server.database.service_schema import webhook_deliveries, webhook_secrets, webhooks
-from lambent_server.database.tenancy import Tenant, add, change, find, remove, rows
+from lambent_server.database.tenancy import Tenant, add, change, remove, rows
 from lambent_server.webhooks.guard import Guard, RefusedAddress
 from lambent_server.webhooks.messages import (
     CreatedWebhook,
@@ -26,7 +27,6 @@ from lambent_server.webhooks.messages import (
 from lambent_server.webhooks.outbox import PENDING, host_of, secret_of_jobs
 from lambent_server.webhooks.signing import new_signing_secret
 
-Row = Mapping[str, Any]
 FAILED = "failed"
 GONE, ASKED = "gone", "asked"
 
@@ -39,48 +39,44 @@ def check_url(url: str, settings: Settings, pointer: str) -> None:
         raise invalid(f"webhook_{refused.code}", pointer, str(refused)) from refused
 
 
-def show(row: Row) -> Webhook:
+def show(row: WebhookRow) -> Webhook:
     """Return a subscription in the form of the REST interface."""
     return Webhook(
-        **{name: row[name] for name in ("id", "url", "name", "events", "labels", "disabled_reason")},
-        enabled=row["disabled_at"] is None,
-        created_at=rfc3339(row["created_at"]),
+        **{name: getattr(row, name) for name in ("id", "url", "name", "events", "labels", "disabled_reason")},
+        enabled=row.disabled_at is None,
+        created_at=rfc3339(row.created_at),
     )
 
 
-def show_created(row: Row) -> CreatedWebhook:
+def show_created(row: WebhookRow) -> CreatedWebhook:
     """Return a subscription with its secret."""
-    return CreatedWebhook(**show(row).model_dump(), secret=row["secret"])
+    return CreatedWebhook(**show(row).model_dump(), secret=row.secret)
 
 
-def show_delivery(row: Row) -> Delivery:
+def show_delivery(row: DeliveryRow) -> Delivery:
     """Return a delivery in the form of the REST interface."""
     return Delivery(
         **{
-            name: row[name]
+            name: getattr(row, name)
             for name in ("id", "webhook_id", "job_id", "event", "url", "state", "num_attempts")
         },
-        created_at=rfc3339(row["created_at"]),
-        next_at=None if row["next_at"] is None else rfc3339(row["next_at"]),
-        ended_at=None if row["ended_at"] is None else rfc3339(row["ended_at"]),
-        attempts=[DeliveryAttempt(**{**each, "at": rfc3339(each["at"])}) for each in row["attempts"]],
+        created_at=rfc3339(row.created_at),
+        next_at=rfc3339(row.next_at),
+        ended_at=rfc3339(row.ended_at),
+        attempts=[DeliveryAttempt(**{**each, "at": rfc3339(each["at"])}) for each in row.attempts],
     )
 
 
-def require(connection: Connection, tenant: Tenant, webhook_id: str, *, lock: bool = False) -> Row:
+def require(connection: Connection, tenant: Tenant, webhook_id: str, *, lock: bool = False) -> WebhookRow:
     """Return a subscription's row."""
-    row = find(connection, tenant, webhooks, webhook_id, lock=lock)
-    if row is None:
-        raise not_found("webhook", webhook_id)
-    return dict(row)
+    return resources.require(connection, tenant, WebhookRow, "webhook", webhook_id, lock=lock)
 
 
-def require_delivery(connection: Connection, tenant: Tenant, delivery_id: str, *, lock: bool = False) -> Row:
+def require_delivery(
+    connection: Connection, tenant: Tenant, delivery_id: str, *, lock: bool = False
+) -> DeliveryRow:
     """Return a delivery's row."""
-    row = find(connection, tenant, webhook_deliveries, delivery_id, lock=lock)
-    if row is None:
-        raise not_found("delivery", delivery_id)
-    return dict(row)
+    return resources.require(connection, tenant, DeliveryRow, "delivery", delivery_id, lock=lock)
 
 
 def create(
@@ -90,7 +86,7 @@ def create(
     settings: Settings,
     webhook_id: str | None = None,
     maker: Maker = NOBODY,
-) -> Row:
+) -> WebhookRow:
     """Add a subscription, which ends with its maker."""
     check_url(order.url, settings, "#/url")
     in_use = connection.execute(rows(tenant, webhooks, func.count())).scalar_one()
@@ -111,23 +107,23 @@ def create(
 def update(
     connection: Connection,
     tenant: Tenant,
-    row: Row,
+    row: WebhookRow,
     order: WebhookChange,
     settings: Settings,
     maker: Maker = NOBODY,
-) -> Row:
+) -> WebhookRow:
     """Change a subscription; what waits to be delivered goes to the new address.
 
     Whoever gives it another address, or enables it, is its maker from then on: it ends with them.
     """
     values = order.model_dump(exclude_none=True, exclude={"enabled", "labels"})
     if order.labels is not None:
-        values["labels"] = label_rows.merged(row["labels"], order.labels)
+        values["labels"] = label_rows.merged(row.labels, order.labels)
     if order.url is not None:
         check_url(order.url, settings, "#/url")
         waiting = webhook_deliveries.c.next_at.is_not(None)
         statement = change(tenant, webhook_deliveries).where(
-            webhook_deliveries.c.webhook_id == row["id"], waiting
+            webhook_deliveries.c.webhook_id == row.id, waiting
         )
         connection.execute(statement.values(url=order.url, host=host_of(order.url)))
     if order.url is not None or order.enabled is True:
@@ -135,10 +131,10 @@ def update(
     if order.enabled is True:
         values |= {"disabled_at": None, "disabled_reason": ""}
     if values:
-        connection.execute(change(tenant, webhooks).where(webhooks.c.id == row["id"]).values(**values))
+        connection.execute(change(tenant, webhooks).where(webhooks.c.id == row.id).values(**values))
     if order.enabled is False:
-        disable(connection, tenant, row["id"], ASKED)
-    return require(connection, tenant, row["id"])
+        disable(connection, tenant, row.id, ASKED)
+    return require(connection, tenant, row.id)
 
 
 def disable(connection: Connection, tenant: Tenant, webhook_id: str, reason: str) -> None:
@@ -162,19 +158,19 @@ def delete(connection: Connection, tenant: Tenant, webhook_id: str) -> None:
     connection.execute(remove(tenant, webhooks).where(webhooks.c.id == webhook_id))
 
 
-def _rotation(row: Row, overlap_s: float) -> dict[str, Any]:
+def _rotation(row: WebhookRow | SecretRow, overlap_s: float) -> dict[str, Any]:
     return {
         "secret": new_signing_secret(),
-        "previous_secret": row["secret"],
+        "previous_secret": row.secret,
         "previous_until": now() + overlap_s,
     }
 
 
-def rotate(connection: Connection, tenant: Tenant, row: Row, overlap_s: float) -> Row:
+def rotate(connection: Connection, tenant: Tenant, row: WebhookRow, overlap_s: float) -> WebhookRow:
     """Replace the secret of a subscription; the old one signs too for `overlap_s`."""
-    statement = change(tenant, webhooks).where(webhooks.c.id == row["id"])
+    statement = change(tenant, webhooks).where(webhooks.c.id == row.id)
     connection.execute(statement.values(**_rotation(row, overlap_s)))
-    return require(connection, tenant, row["id"])
+    return require(connection, tenant, row.id)
 
 
 def rotate_secret_of_jobs(connection: Connection, tenant: Tenant, overlap_s: float) -> str:
@@ -184,18 +180,15 @@ def rotate_secret_of_jobs(connection: Connection, tenant: Tenant, overlap_s: flo
     return str(values["secret"])
 
 
-def redeliver(connection: Connection, tenant: Tenant, row: Row) -> Row:
+def redeliver(connection: Connection, tenant: Tenant, row: DeliveryRow) -> DeliveryRow:
     """Deliver again, with the same id and body; one that waits is due at once."""
-    if (
-        row["webhook_id"] is not None
-        and require(connection, tenant, row["webhook_id"])["disabled_at"] is not None
-    ):
-        raise conflict("webhook_disabled", f"webhook {row['webhook_id']} is disabled; enable it first")
-    if row["claim"] is None:
+    if row.webhook_id is not None and require(connection, tenant, row.webhook_id).disabled_at is not None:
+        raise conflict("webhook_disabled", f"webhook {row.webhook_id} is disabled; enable it first")
+    if row.claim is None:
         values = {"state": PENDING, "since": now(), "next_at": now(), "ended_at": None}
-        statement = change(tenant, webhook_deliveries).where(webhook_deliveries.c.id == row["id"])
+        statement = change(tenant, webhook_deliveries).where(webhook_deliveries.c.id == row.id)
         connection.execute(statement.values(**values))
-    return require_delivery(connection, tenant, row["id"])
+    return require_delivery(connection, tenant, row.id)
 
 
 def forget_job(connection: Connection, tenant: Tenant, job_id: str) -> None:

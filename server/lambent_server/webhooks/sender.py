@@ -7,7 +7,6 @@ import ssl
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
 
 import httpx2
 import structlog
@@ -17,7 +16,7 @@ from lambent_server.core.metrics import WEBHOOK_ATTEMPTS
 from lambent_server.core.settings import Settings
 from lambent_server.services import Services
 from lambent_server.storage.outages import report
-from lambent_server.webhooks.claims import Outcome, claim, release, settle
+from lambent_server.webhooks.claims import Claimed, Outcome, claim, release, settle
 from lambent_server.webhooks.guard import Guard, RefusedAddress, Target
 from lambent_server.webhooks.places import Places
 from lambent_server.webhooks.signing import signed_headers
@@ -77,23 +76,23 @@ class Sender:
             while True:
                 try:
                     for row in await self._claimed():
-                        self._places.take(row["tenant_id"], row["host"])
+                        self._places.take(row.tenant_id, row.host)
                         group.create_task(self._handle(client, row))
                 except (SQLAlchemyError, OSError) as error:
                     # The database is unavailable; the rows are still due once it is back.
                     report("webhooks_not_read", error)
                 await asyncio.sleep(self._settings.webhook_poll_s)
 
-    async def _claimed(self) -> list[dict[str, Any]]:
+    async def _claimed(self) -> list[Claimed]:
         if not self._places.free or not self._leads():
             return []
         return await asyncio.to_thread(claim, self._database, self._settings, self._places.copy())
 
-    async def _handle(self, client: httpx2.AsyncClient, row: dict[str, Any]) -> None:
+    async def _handle(self, client: httpx2.AsyncClient, row: Claimed) -> None:
         try:
             outcome = await self.attempt(client, row)
             timed_out = outcome.error == "timeout"
-            self._places.learn(row["tenant_id"], row["host"], seconds=outcome.seconds, timed_out=timed_out)
+            self._places.learn(row.tenant_id, row.host, seconds=outcome.seconds, timed_out=timed_out)
             state = await asyncio.to_thread(settle, self._database, self._settings, row, outcome)
         except asyncio.CancelledError:
             # Not awaited: this task is being ended, and the claim of a lost attempt ends by itself too.
@@ -102,33 +101,33 @@ class Sender:
             raise
         except (SQLAlchemyError, OSError):
             # Delivered, perhaps, but not noted: it is delivered again when the claim has ended.
-            log.exception("webhook_not_noted", delivery=row["id"])
+            log.exception("webhook_not_noted", delivery=row.id)
             return
         finally:
-            self._places.leave(row["tenant_id"], row["host"])
+            self._places.leave(row.tenant_id, row.host)
         WEBHOOK_ATTEMPTS.labels(outcome.error or "delivered").inc()
         log.info(
             "webhook_attempt",
-            tenant=row["tenant_id"],
-            delivery=row["id"],
-            job=row["job_id"],
-            host=row["host"],
+            tenant=row.tenant_id,
+            delivery=row.id,
+            job=row.job_id,
+            host=row.host,
             status=outcome.status,
             error=outcome.error,
             state=state,
         )
 
-    async def attempt(self, client: httpx2.AsyncClient, row: dict[str, Any]) -> Outcome:
+    async def attempt(self, client: httpx2.AsyncClient, row: Claimed) -> Outcome:
         """Make one attempt and return its outcome; whatever goes wrong is one."""
-        if not row["secrets"]:
+        if not row.secrets:
             # Its subscription was deleted, or its maker has left; nothing is sent without a signature.
             return Outcome(error="secret_missing")
         began = time.monotonic()
         status, error, retry_after_s = None, "timeout", 0.0
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(self._places.timeout_s(row["tenant_id"], row["host"])):
+            async with asyncio.timeout(self._places.timeout_s(row.tenant_id, row.host)):
                 try:
-                    target = self._guard.parse(row["url"])
+                    target = self._guard.parse(row.url)
                     addresses = self._guard.permitted(target, await self._addresses(target))
                     status, retry_after_s = await post(client, target, addresses, row)
                     error = "" if 200 <= status < 300 else "redirected" if 300 <= status < 400 else "status"
@@ -140,7 +139,7 @@ class Sender:
                     error = "tls_failed" if _is_tls(failed) else "connection_failed"
                 except Exception:
                     # One delivery that cannot be made must not keep the others from being made.
-                    log.exception("webhook_not_sent", delivery=row["id"])
+                    log.exception("webhook_not_sent", delivery=row.id)
                     error = "internal"
         seconds = time.monotonic() - began
         return Outcome(status=status, error=error, seconds=seconds, retry_after_s=retry_after_s)
@@ -154,11 +153,16 @@ class Sender:
         def resolve() -> None:
             found = self._resolver(target.host, target.port)
             with contextlib.suppress(RuntimeError):
-                loop.call_soon_threadsafe(lambda: answer.done() or answer.set_result(found))
+                loop.call_soon_threadsafe(_settle, answer, found)
 
         # A daemon thread, so that a look-up that hangs does not keep the server from exiting.
         threading.Thread(target=resolve, name="webhook-lookup", daemon=True).start()
         return await answer
+
+
+def _settle(answer: asyncio.Future[list[str]], found: list[str]) -> None:
+    if not answer.done():
+        answer.set_result(found)
 
 
 def open_client(settings: Settings) -> httpx2.AsyncClient:
@@ -180,13 +184,13 @@ def open_client(settings: Settings) -> httpx2.AsyncClient:
 
 
 async def post(
-    client: httpx2.AsyncClient, target: Target, addresses: list[str], row: dict[str, Any]
+    client: httpx2.AsyncClient, target: Target, addresses: list[str], row: Claimed
 ) -> tuple[int, float]:
     """Send a delivery to the first address that accepts a connection.
 
     Returns the status and Retry-After in seconds; the body of the answer is not read.
     """
-    body = row["body"].encode()
+    body = row.body.encode()
     failed: httpx2.ConnectError | None = None
     for address in addresses[:_MAX_ADDRESSES]:
         request = httpx2.Request(
@@ -196,7 +200,7 @@ async def post(
                 "host": target.host_header,
                 "content-type": "application/json",
                 "user-agent": _USER_AGENT,
-                **signed_headers(row["secrets"], row["id"], int(time.time()), body),
+                **signed_headers(row.secrets, row.id, int(time.time()), body),
             },
             content=body,
             # The certificate is checked against the name, though the connection goes to the address.

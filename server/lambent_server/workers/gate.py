@@ -114,7 +114,7 @@ class Shares:
             del self._uses[run]
 
 
-class Gatekeeper(grpc.ServerInterceptor):  # type: ignore[misc]
+class Gatekeeper(grpc.ServerInterceptor):  # type: ignore[type-arg]
     """Rejects unauthenticated calls before a thread waits for their data, and those beyond a run's share."""
 
     def __init__(self, secret: str, shares: Shares) -> None:

@@ -15,7 +15,7 @@ from lambent_server.api.rest_json import enum_text, to_rest
 from lambent_server.core.clock import new_id, now
 from lambent_server.core.settings import Settings
 from lambent_server.database.columns import next_number
-from lambent_server.database.model import JobRow
+from lambent_server.database.model import JobRow, SceneRow
 from lambent_server.database.schema import (
     artifacts,
     bundle_files,
@@ -62,7 +62,7 @@ def describe_run(connection: Connection, job: JobRow, settings: Settings) -> wor
     )
     for row in offered_checkpoints(connection, tenant, job):
         manifest = response.checkpoints.add()
-        Parse(row["manifest"], manifest)
+        Parse(row.manifest, manifest)
     return response
 
 
@@ -121,23 +121,23 @@ def _plain(text: str, limit: int) -> str:
 def store_scene_report(connection: Connection, job: JobRow, request: worker_pb2.ReportSceneRequest) -> None:
     """Store findings and measurements of the scene, and whether jobs may use it."""
     report = request.report
-    scene = find(connection, owner(job), scenes, job.scene_id, lock=True)
-    if scene is None or scene["state"] not in ("uploaded", "ready"):
+    scene = find(connection, owner(job), SceneRow, job.scene_id, lock=True)
+    if scene is None or scene.state not in ("uploaded", "ready"):
         return
     fresh = to_rest(report)
     # Findings from the upload stay valid.
     codes = {(each["code"], each["subject"]) for each in fresh["findings"]}
     earlier = [
         each
-        for each in (scene["report"] or {}).get("findings", [])
+        for each in (scene.report or {}).get("findings", [])
         if (each["code"], each["subject"]) not in codes
     ]
     fresh["findings"] = earlier + fresh["findings"]
-    statement = change(owner(job), scenes).where(scenes.c.id == scene["id"])
+    statement = change(owner(job), scenes).where(scenes.c.id == scene.id)
     state = "ready" if report.usable else "rejected"
     connection.execute(statement.values(report=fresh, layout=report.layout or None, state=state))
     figures = request.figures if request.HasField("figures") else None
-    store_figures(connection, owner(job), scene["id"], figures, request.page_sha256)
+    store_figures(connection, owner(job), scene.id, figures, request.page_sha256)
     set_thumbnail(connection, owner(job), scene, request.thumbnail_sha256)
 
 

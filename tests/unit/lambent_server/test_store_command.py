@@ -62,7 +62,7 @@ def test_a_check_reports_and_changes_nothing_and_a_clean_removes(api: Api):
     assert "1 without a row (9 bytes), removed" in result.output
     assert report(api, "check")["unknown"] == []
     with api.services.database.read() as connection:
-        assert [entry["action"] for entry in audit.entries(connection, audit.SERVER)] == ["store clean"]
+        assert [entry.action for entry in audit.entries(connection, audit.SERVER)] == ["store clean"]
 
 
 def test_lost_files_are_named_and_give_exit_code_1(api: Api):

@@ -57,11 +57,11 @@ def test_a_log_is_whole_and_numbered(database: Database):
     assert (found.num_entries, found.number, found.problem) == (5, 5, "")
     with database.read() as connection:
         entries = list(audit.entries(connection, WHO.tenant))
-        assert audit.contains(connection, WHO.tenant, f"3:{entries[2]['hash']}")
-        assert not audit.contains(connection, WHO.tenant, f"3:{entries[1]['hash']}")
+        assert audit.contains(connection, WHO.tenant, f"3:{entries[2].hash}")
+        assert not audit.contains(connection, WHO.tenant, f"3:{entries[1].hash}")
         assert audit.verify(connection, Tenant("other")).problem == ""
-    assert [entry["target"] for entry in entries] == [f"target_{n}" for n in range(5)]
-    assert json.loads(entries[4]["details"]) == {"n": 4, "ü": None}
+    assert [entry.target for entry in entries] == [f"target_{n}" for n in range(5)]
+    assert json.loads(entries[4].details) == {"n": 4, "ü": None}
 
 
 @pytest.mark.parametrize("statement", ["UPDATE audit_entries SET action = 'x'", "DELETE FROM audit_entries"])
@@ -136,7 +136,7 @@ def test_retention_removes_the_oldest_and_the_rest_is_still_whole(database: Data
     found = verdict(database)
     assert (found.num_entries, found.number, found.problem) == (2, 5, "")
     with database.read() as connection:
-        assert audit.contains(connection, WHO.tenant, f"3:{third['hash']}")
+        assert audit.contains(connection, WHO.tenant, f"3:{third.hash}")
     with pytest.raises(DBAPIError, match="audit log"), database.write() as connection:
         connection.execute(text("DELETE FROM audit_entries"))
 

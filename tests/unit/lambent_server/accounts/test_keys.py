@@ -108,8 +108,8 @@ def test_a_key_whose_file_was_removed_ends_with_the_next_start(api: Api):
 def test_what_a_start_does_with_keys_is_recorded(api: Api):
     def recorded() -> list[tuple[str, str, dict[str, object]]]:
         with api.services.database.read() as connection:
-            entries = [each for each in audit.entries(connection, TENANT) if each["actor_kind"] == "operator"]
-        return [(each["action"], each["target"], json.loads(each["details"])) for each in entries]
+            entries = [each for each in audit.entries(connection, TENANT) if each.actor_kind == "operator"]
+        return [(each.action, each.target, json.loads(each.details)) for each in entries]
 
     def newest() -> str:
         listed = expect(api.get("/v1/keys"), 200)["items"]

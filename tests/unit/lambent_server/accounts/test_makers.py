@@ -257,8 +257,8 @@ def test_subscriptions_and_webhooks_of_jobs_end_with_whoever_made_them(api: Api,
     assert shown["disabled_reason"] == ("" if how == "demoted" else makers.LEFT)
     # What waited from before is not sent any more.
     waiting = claim(api.services.database, api.services.settings, Places(api.services.settings))
-    assert [row["secrets"] for row in waiting] == [[]] * len(waiting)
-    assert {row["webhook_id"] for row in waiting} == ({None, subscription} if how == "demoted" else {None})
+    assert [row.secrets for row in waiting] == [()] * len(waiting)
+    assert {row.webhook_id for row in waiting} == ({None, subscription} if how == "demoted" else {None})
 
 
 def test_a_subscription_is_of_whoever_last_chose_its_address_or_enabled_it(api: Api):

@@ -29,7 +29,7 @@ def api(tmp_path: Path) -> Iterator[Api]:
 def browser_of(api: Api, email: str, tenant: Tenant) -> TestClient:
     """Return a browser in which this user has signed in."""
     with api.services.database.write() as connection:
-        user_id = users.require(connection, email)["id"]
+        user_id = users.require(connection, email).id
         token = open_session(connection, tenant, 60.0, user_id)
     browser = api.other(None)
     browser.cookies.set(COOKIE, token, domain="localhost.local")
@@ -137,7 +137,7 @@ def test_a_key_of_somebody_who_may_not_come_in_is_refused_though_it_is_not_revok
     key = key_of(api, "anna@example.com")
     expect(key.get("/v1/scenes"), 200)
     with api.services.database.write() as connection:
-        user_id = users.require(connection, "anna@example.com")["id"]
+        user_id = users.require(connection, "anna@example.com").id
         if column == "disabled":
             users.change_user(connection, user_id, disabled_at=1.0)
         else:
@@ -198,7 +198,7 @@ def test_a_link_of_a_disabled_user_is_invalid_even_if_its_session_is_still_store
     anna = with_studio(api, "admin")
     browser, code = open_link(api, anna), make_link(anna)
     with api.services.database.write() as connection:
-        users.change_user(connection, users.require(connection, "anna@example.com")["id"], disabled_at=1.0)
+        users.change_user(connection, users.require(connection, "anna@example.com").id, disabled_at=1.0)
     expect_problem(browser.get("/v1/scenes"), 401, "not_authenticated")
     use_link(api, code, status=401)
 
@@ -246,7 +246,7 @@ def test_a_user_of_several_organisations_switches(api: Api):
     )
     expect_problem(api.post("/v1/me:switch", json={"organisation": "studio"}), 409, "no_user")
     with api.services.database.read() as connection:
-        entries = [entry["action"] for entry in audit.entries(connection, TENANT)]
+        entries = [entry.action for entry in audit.entries(connection, TENANT)]
     assert "switch_organisation" in entries
 
 

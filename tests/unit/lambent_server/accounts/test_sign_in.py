@@ -47,7 +47,7 @@ def enter(database: Database, groups: str | None, settings: Settings, name: str 
         except RefusedError:
             return {}
     with database.read() as connection:
-        return {row["tenant_id"]: row["role"] for row in users.memberships(connection, user_id)}
+        return {row.tenant_id: row.role for row in users.memberships(connection, user_id)}
 
 
 def close(database: Database, name: str, at: float | None) -> None:
@@ -78,7 +78,7 @@ def test_without_a_header_for_organisations_nothing_is_said_about_them(database:
     with database.write() as connection:
         user = users.by_subject(connection, "proxy", "fay")
         assert user is not None
-        users.join(connection, Tenant("studio"), user["id"], "admin", users.CLAIM)
+        users.join(connection, Tenant("studio"), user.id, "admin", users.CLAIM)
     assert enter(database, None, settings) == {"default": "editor", "studio": "admin"}
 
 
@@ -108,7 +108,7 @@ def test_a_closed_organisation_keeps_its_members(database: Database, tmp_path: P
     with database.read() as connection:
         user = users.by_subject(connection, "proxy", "fay")
         assert user is not None
-        assert {row["tenant_id"]: row["role"] for row in users.memberships(connection, user["id"])} == both
+        assert {row.tenant_id: row.role for row in users.memberships(connection, user.id)} == both
 
 
 def test_what_an_operator_has_given_stays(database: Database, tmp_path: Path):
@@ -117,7 +117,7 @@ def test_what_an_operator_has_given_stays(database: Database, tmp_path: Path):
     with database.write() as connection:
         user = users.by_subject(connection, "proxy", "fay")
         assert user is not None
-        users.join(connection, Tenant("studio"), user["id"], "admin")
+        users.join(connection, Tenant("studio"), user.id, "admin")
     assert enter(database, "", settings) == {"studio": "admin"}
     assert enter(database, "studio:viewer", settings) == {"studio": "admin"}
 
@@ -151,9 +151,9 @@ def test_an_address_is_bound_to_the_first_who_signs_in_with_it(
     settings = settings_of(tmp_path, login_create="nobody")
     with database.write() as connection:
         user = users.create(connection, name="Fay", email="fay@example.com")
-        users.join(connection, Tenant("studio"), user["id"], "editor")
+        users.join(connection, Tenant("studio"), user.id, "editor")
         if disabled:
-            users.change_user(connection, user["id"], disabled_at=1.0)
+            users.change_user(connection, user.id, disabled_at=1.0)
     # A proxy vouches for a name that is an address, and any other name is not an one's.
     assert enter(database, None, settings, "fay") == {}
     found = enter(database, None, settings, "fay@example.com")

@@ -29,7 +29,7 @@ def add_job(api: Api) -> JobRow:
         return insert_job(connection, TENANT, labels={}, **values)
 
 
-def add_events(api: Api, job: dict[str, Any], count: int = 1) -> None:
+def add_events(api: Api, job: JobRow, count: int = 1) -> None:
     with api.services.database.write() as connection:
         for _ in range(count):
             append_event(connection, job, NewEvent(type="log", message="more"))

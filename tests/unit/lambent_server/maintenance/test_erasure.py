@@ -73,7 +73,7 @@ def fill(services: Services, tenant: Tenant) -> None:
     with services.database.write() as connection:
         organisations.create(connection, tenant, tenant.id)
         user = users.create(connection, name=tenant.id, email=f"{tenant.id}@example.com")
-        users.join(connection, tenant, user["id"], "viewer")
+        users.join(connection, tenant, user.id, "viewer")
         for table in erasure.tables_of_tenants():
             made_otherwise = ("organisations", "members", "blobs", "garbage", "usage_sums", "job_counts")
             if table.name in made_otherwise or table.name.startswith("audit_"):
@@ -140,14 +140,14 @@ def test_nothing_is_left_of_it_and_all_of_the_other(services: Services):
         assert users.by_email(connection, "gone@example.com") is None
         assert users.by_email(connection, "stays@example.com") is not None
         (entry,) = audit.entries(connection, audit.SERVER)
-    assert (entry["action"], entry["target"], entry["actor_id"]) == ("org delete", "gone", "root")
+    assert (entry.action, entry.target, entry.actor_id) == ("org delete", "gone", "root")
 
 
 def test_people_who_belong_to_another_organisation_too_stay(services: Services):
     for tenant in (GONE, STAYS):
         fill(services, tenant)
     with services.database.write() as connection:
-        user_id = users.require(connection, "gone@example.com")["id"]
+        user_id = users.require(connection, "gone@example.com").id
         users.join(connection, STAYS, user_id, "viewer")
     erasure.close(services, WHO)
     erasure.erase(services, OPERATOR)
@@ -224,7 +224,7 @@ def test_closing_is_recorded_once(services: Services):
     for _ in range(2):
         assert erasure.close(services, WHO) == 0
     with services.database.read() as connection:
-        found = [entry["action"] for entry in audit.entries(connection, GONE)]
+        found = [entry.action for entry in audit.entries(connection, GONE)]
     assert found == ["act", "org close"]
 
 

@@ -68,7 +68,7 @@ def test_what_is_old_enough_is_listed_first_and_then_deleted(api: Api):
     # It was only listed.
     expect(api.get(f"/v1/jobs/{old}"), 200)
     with api.services.database.read() as connection:
-        assert not [each for each in audit.entries(connection, TENANT) if each["action"] == "retention"]
+        assert not [each for each in audit.entries(connection, TENANT) if each.action == "retention"]
     rows_shown = admin(api, "retention", "run", "default", "--yes", "--json").stdout.splitlines()
     deleted = {row["id"] for row in map(json.loads, rows_shown) if row["deleted"]}
     # A job that waits needs its scene.
@@ -79,8 +79,8 @@ def test_what_is_old_enough_is_listed_first_and_then_deleted(api: Api):
     for path, status in ((f"scenes/{used}", 200), (f"scenes/{scene}", 404), (f"bundles/{bundle}", 404)):
         expect_status(api, path, status)
     with api.services.database.read() as connection:
-        entries = [each for each in audit.entries(connection, TENANT) if each["action"] == "retention"]
-    assert {each["target"] for each in entries} == deleted
+        entries = [each for each in audit.entries(connection, TENANT) if each.action == "retention"]
+    assert {each.target for each in entries} == deleted
 
 
 def expect_status(api: Api, path: str, status: int) -> None:
