@@ -8,6 +8,7 @@ Call `record` as the last thing in a transaction: until it ends, no other entry 
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -17,6 +18,7 @@ from sqlalchemy import Connection, select
 from lambent_server.accounts.who import Who
 from lambent_server.api.problems import Problem
 from lambent_server.core.clock import now
+from lambent_server.database.engine import Database
 from lambent_server.database.model import AuditHeadRow, AuditRow
 from lambent_server.database.people_schema import audit_entries, audit_heads, audit_permits
 from lambent_server.database.people_schema import organisations as organisation_rows
@@ -76,6 +78,14 @@ def record(
     digest = _digest(head.hash, who.tenant, entry)
     connection.execute(add(who.tenant, audit_entries, id=entry_id(number), hash=digest, **entry))
     connection.execute(change(who.tenant, audit_heads).values(number=number, hash=digest))
+
+
+@contextmanager
+def recorded(database: Database, who: Who, action: str, target: str = "") -> Iterator[Connection]:
+    """Open a transaction in which `who` does something, and record it at the end."""
+    with database.write() as connection:
+        yield connection
+        record(connection, who, action, target)
 
 
 def entry_id(number: int) -> str:

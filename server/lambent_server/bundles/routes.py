@@ -52,23 +52,20 @@ def change_bundle(
     if_match: IfMatch = None,
 ) -> BundleDetail:
     """Change the labels of a bundle."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "change_bundle", bundle_id) as connection:
         row = bundle_rows.require_bundle(connection, tenant, bundle_id, lock=True)
         require_match(if_match, bundle_rows.show_files(connection, tenant, row))
         changed = bundle_rows.change_bundle(connection, tenant, row, body)
-        audit.record(connection, who, "change_bundle", bundle_id)
         return bundle_rows.show_files(connection, tenant, changed)
 
 
 @router.delete(
     "/v1/bundles/{bundle_id:id}", status_code=204, response_class=Response, responses=problems(403, 404, 409)
 )
-def delete_bundle(services: ServicesOf, tenant: TenantOf, who: WhoOf, bundle_id: Id) -> Response:
+def delete_bundle(services: ServicesOf, tenant: TenantOf, who: WhoOf, bundle_id: Id) -> None:
     """Delete a bundle with its files and the links to it; the job that made it stays."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "delete_bundle", bundle_id) as connection:
         removals.delete_bundle(connection, tenant, bundle_id)
-        audit.record(connection, who, "delete_bundle", bundle_id)
-    return Response(status_code=204)
 
 
 def _secret(request: Request) -> str:
@@ -135,9 +132,7 @@ def list_shares(
 @router.delete(
     "/v1/shares/{share_id:id}", status_code=204, response_class=Response, responses=problems(403, 404)
 )
-def revoke_share(services: ServicesOf, tenant: TenantOf, who: WhoOf, share_id: Id) -> Response:
+def revoke_share(services: ServicesOf, tenant: TenantOf, who: WhoOf, share_id: Id) -> None:
     """Revoke a link, with immediate effect for everyone who has opened it."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "revoke_share", share_id) as connection:
         shares.revoke(connection, tenant, share_id)
-        audit.record(connection, who, "revoke_share", share_id)
-    return Response(status_code=204)

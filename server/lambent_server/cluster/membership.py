@@ -208,6 +208,8 @@ class Membership:
 
     def beat(self) -> None:
         """Say once that this server lives, take or keep the lead, and look who else is there."""
+        # Everything that ends a lease counts from here, before the database was asked: a slow answer shortens
+        # the time for which this server may act, and never lengthens it.
         began = time.monotonic()
         self._write_row()
         # Before anything else: who judges the runs of others must know who lives.

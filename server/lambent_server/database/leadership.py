@@ -44,12 +44,15 @@ class Leadership:
         """Prolong the lease, or take it if nobody has it; return whether this server leads."""
         if self._database.is_sqlite:
             return True
-        # From before the database counts, so that this ends first.
+        # Taken before the database adds the lease to its own time: this server's lease ends first, so it has
+        # stopped leading before any other server can find the row expired.
         began = time.monotonic()
         mine = leadership.c.holder == self._holder
         with self._database.write() as connection:
             current = clock_time(connection)
             ended = (leadership.c.expires_at < current) | self._is_unchanged(connection, began)
+            # One UPDATE decides: of servers that find the lease ended, the lock on the row lets one through,
+            # and for the others the condition no longer holds. The term grows with the holder only.
             statement = (
                 update(leadership)
                 .where(leadership.c.name == "leader", mine | ended)
@@ -77,10 +80,12 @@ class Leadership:
         row = select(leadership.c.holder, leadership.c.expires_at).where(leadership.c.name == "leader")
         found = connection.execute(row).one_or_none()
         seen = None if found is None else (str(found[0]), float(found[1]))
+        # Every beat changes `expires_at`, so the same value for a whole lease means that no beat came.
         if seen is None or seen != self._seen:
             self._seen, self._seen_since = seen, at
         if seen is None or at - self._seen_since <= self._lease_s:
             return false()
+        # What was seen is part of the condition: a beat between this look and the UPDATE keeps the lease.
         return (leadership.c.holder == seen[0]) & (leadership.c.expires_at == seen[1])
 
     def release(self) -> None:
@@ -88,6 +93,7 @@ class Leadership:
         if self._database.is_sqlite or not self._held:
             return
         log.info("leadership", held=False, term=self.term)
+        # First here, then in the database, whose next leader may begin at once.
         self._until, self._held = 0.0, False
         statement = update(leadership).where(leadership.c.holder == self._holder).values(expires_at=0.0)
         with contextlib.suppress(SQLAlchemyError), self._database.write() as connection:

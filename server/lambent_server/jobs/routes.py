@@ -154,12 +154,11 @@ def change_job(
     services: ServicesOf, tenant: TenantOf, who: WhoOf, job_id: Id, body: JobChange, if_match: IfMatch = None
 ) -> Job:
     """Change the labels of a job, or the priority of one that waits."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "change_job", job_id) as connection:
         job = job_queries.require_job(connection, tenant, job_id, lock=True)
         require_match(if_match, job_queries.show(connection, tenant, job))
         job_queries.change_job(connection, tenant, job, body, services.settings)
         shown = job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, job_id))
-        audit.record(connection, who, "change_job", job_id)
     services.wakeups.signal()
     return shown
 
@@ -167,25 +166,22 @@ def change_job(
 @router.delete(
     "/v1/jobs/{job_id:id}", status_code=204, response_class=Response, responses=problems(403, 404, 409)
 )
-def delete_job(services: ServicesOf, tenant: TenantOf, who: WhoOf, job_id: Id) -> Response:
+def delete_job(services: ServicesOf, tenant: TenantOf, who: WhoOf, job_id: Id) -> None:
     """Delete a job that has ended, with its history, artifacts and log; its bundle stays."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "delete_job", job_id) as connection:
         removals.delete_job(connection, tenant, job_id)
-        audit.record(connection, who, "delete_job", job_id)
     shutil.rmtree(services.settings.runs / job_id, ignore_errors=True)
-    return Response(status_code=204)
 
 
 @router.post("/v1/jobs/{job_id:id}:cancel", status_code=202, responses=problems(404, 409))
 def cancel_job(services: ServicesOf, tenant: TenantOf, who: WhoOf, job_id: Id) -> Job:
     """Cancel a job; it is `cancelled` once its process is gone."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "cancel_job", job_id) as connection:
         job = job_queries.require_job(connection, tenant, job_id, lock=True)
         if job.state in (SUCCEEDED, FAILED):
             raise conflict("job_final", f"job {job_id} has {job.state}; that is final")
         job_queries.cancel(connection, job)
         shown = job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, job_id))
-        audit.record(connection, who, "cancel_job", job_id)
     services.wakeups.signal()
     return shown
 

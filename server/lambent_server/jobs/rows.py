@@ -119,6 +119,8 @@ def move(connection: Connection, job: JobRow, state: str, message: str = "", **v
     """Change the job's state and record it; return False if its state has been changed meanwhile."""
     if state in FINAL:
         values |= {"finished_at": now(), "retry_at": None}
+    # The state and the run that the caller saw are the claim on the job: of two servers that start it, or of
+    # one that starts and one that cancels it, the first changes the row, the other finds nothing to change.
     statement = (
         change(owner(job), jobs)
         .where(jobs.c.id == job.id, jobs.c.state == job.state, jobs.c.run == job.run)
@@ -129,6 +131,7 @@ def move(connection: Connection, job: JobRow, state: str, message: str = "", **v
     if moved is None:
         return False
     if moved.gpus and job.state in HAS_RUN and state not in HAS_RUN:
+        # From the row, not from `job`: the run may have started after the caller looked.
         add_gpu_time(connection, owner(job), moved.gpus, moved.run_started_at, now())
     if state in FINAL:
         drop_checkpoints(connection, owner(job), job.id)

@@ -49,13 +49,11 @@ def list_keys(
 
 
 @router.delete("/v1/keys/{key_id:id}", status_code=204, response_class=Response, responses=problems(403, 404))
-def revoke_key(services: ServicesOf, tenant: TenantOf, who: WhoOf, request: Request, key_id: Id) -> Response:
+def revoke_key(services: ServicesOf, tenant: TenantOf, who: WhoOf, request: Request, key_id: Id) -> None:
     """Revoke a key permanently, with all that it has made, and log out every browser."""
     require_key(request, _WHAT)
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "revoke_key", key_id) as connection:
         keys.revoke(connection, tenant, key_id)
-        audit.record(connection, who, "revoke_key", key_id)
-    return Response(status_code=204)
 
 
 @router.post("/v1/keys/{key_id:id}:rotate", status_code=201, responses=problems(403, 404, 409))

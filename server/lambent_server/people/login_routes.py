@@ -68,9 +68,8 @@ def _is_valid(connection: Connection, used: Redeemed) -> bool:
 def log_out(services: ServicesOf, request: Request, tenant: TenantOf, who: WhoOf) -> Response:
     """End the session of this browser, if there is one."""
     if token := cookie_token(request.headers.get("cookie", "")):
-        with services.database.write() as connection:
+        with audit.recorded(services.database, who, "log_out") as connection:
             end_session(connection, tenant, token)
-            audit.record(connection, who, "log_out")
     response = Response(status_code=204)
     end_of_session(request, response)
     return response
@@ -83,8 +82,7 @@ def create_login_link(services: ServicesOf, request: Request, tenant: TenantOf, 
     A link made in a browser opens a session that ends with that browser's, at its logout too.
     """
     session = None if request.state.by_key else cookie_token(request.headers.get("cookie", ""))
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "create_login_link") as connection:
         lifetime_s = services.settings.login_code_s
         code, until = issue_login_code(connection, tenant, lifetime_s, who.maker, session)
-        audit.record(connection, who, "create_login_link")
     return LoginLink(url=f"{str(request.base_url).rstrip('/')}/#code={code}", expires_at=rfc3339(until))

@@ -122,9 +122,7 @@ def get_environment(services: ServicesOf, tenant: TenantOf, environment_id: Id) 
     response_class=Response,
     responses=problems(403, 404, 409),
 )
-def delete_environment(services: ServicesOf, tenant: TenantOf, who: WhoOf, environment_id: Id) -> Response:
+def delete_environment(services: ServicesOf, tenant: TenantOf, who: WhoOf, environment_id: Id) -> None:
     """Delete an environment; pictures that were rendered with it stay."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "delete_environment", environment_id) as connection:
         removals.delete_environment(connection, tenant, environment_id)
-        audit.record(connection, who, "delete_environment", environment_id)
-    return Response(status_code=204)

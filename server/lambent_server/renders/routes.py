@@ -96,7 +96,7 @@ def _show(connection: Connection, tenant: Tenant, batch_id: str) -> Batch:
 @router.post("/v1/batches/{batch_id:id}:cancel", status_code=202, responses=problems(403, 404, 409))
 def cancel_batch(services: ServicesOf, tenant: TenantOf, who: WhoOf, batch_id: Id) -> Batch:
     """Cancel every job of a batch; published files stay."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "cancel_batch", batch_id) as connection:
         row = render_rows.require_order(connection, tenant, batch_id, render_rows.BATCH, lock=True)
         states = set()
         for job in render_rows.newest_jobs(connection, tenant, row.id):
@@ -106,7 +106,6 @@ def cancel_batch(services: ServicesOf, tenant: TenantOf, who: WhoOf, batch_id: I
         if not states & {QUEUED, RETRY_WAIT, RUNNING, CANCELLING, CANCELLED}:
             raise conflict("batch_final", f"every job of batch {batch_id} has ended; that is final")
         batch = _show(connection, tenant, batch_id)
-        audit.record(connection, who, "cancel_batch", batch_id)
     services.wakeups.signal()
     return batch
 
@@ -115,11 +114,10 @@ def cancel_batch(services: ServicesOf, tenant: TenantOf, who: WhoOf, batch_id: I
 def retry_batch(services: ServicesOf, tenant: TenantOf, who: WhoOf, batch_id: Id) -> Batch:
     """Queue the failed and cancelled parts of a batch again, as new jobs."""
     services.require_disk()
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "retry_batch", batch_id) as connection:
         row = render_rows.require_order(connection, tenant, batch_id, render_rows.BATCH, lock=True)
         render_rows.retry(connection, tenant, row, services)
         batch = _show(connection, tenant, batch_id)
-        audit.record(connection, who, "retry_batch", batch_id)
     services.wakeups.signal()
     return batch
 

@@ -97,7 +97,7 @@ def plan_files(
 )
 async def put_file(
     services: ServicesOf, tenant: TenantOf, who: WhoOf, scene_id: Id, sha256: Sha, request: Request
-) -> Response:
+) -> None:
     """Upload a planned file under its hash; repeating it changes nothing."""
     size, allowance = await to_thread.run_sync(_planned_size, services, tenant, scene_id, sha256)
     async with received(services, request, tenant, size, allowance) as upload:
@@ -106,7 +106,6 @@ async def put_file(
                 "digest_mismatch", "#", f"the body has the hash {upload.sha256}, the path says {sha256}"
             )
         await to_thread.run_sync(_store, services, who, upload.path, sha256, "put_file")
-    return Response(status_code=204)
 
 
 def _planned_size(
@@ -192,10 +191,9 @@ def _take_archive(services: Services, who: Who, scene_id: str, upload: Upload) -
 @router.post("/v1/scenes/{scene_id:id}:commit", responses=problems(404, 409))
 def commit_scene(services: ServicesOf, tenant: TenantOf, who: WhoOf, scene_id: Id) -> Scene:
     """Finish the upload; every planned file must have been sent. Repeating it changes nothing."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "commit_scene", scene_id) as connection:
         scene = scene_rows.require_scene(connection, tenant, scene_id, lock=True)
         committed = scene_rows.commit(connection, tenant, scene)
-        audit.record(connection, who, "commit_scene", scene_id)
         return scene_rows.show(committed)
 
 
@@ -216,25 +214,22 @@ def change_scene(
     if_match: IfMatch = None,
 ) -> Scene:
     """Change the name or the labels of a scene."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "change_scene", scene_id) as connection:
         scene = scene_rows.require_scene(connection, tenant, scene_id, lock=True)
         require_match(if_match, scene_rows.show(scene))
         changed = scene_rows.change_scene(connection, tenant, scene, body)
-        audit.record(connection, who, "change_scene", scene_id)
         return scene_rows.show(changed)
 
 
 @router.delete(
     "/v1/scenes/{scene_id:id}", status_code=204, response_class=Response, responses=problems(404, 409)
 )
-def delete_scene(services: ServicesOf, tenant: TenantOf, who: WhoOf, scene_id: Id) -> Response:
+def delete_scene(services: ServicesOf, tenant: TenantOf, who: WhoOf, scene_id: Id) -> None:
     """Delete a scene and its files; bundles made from it stay."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "delete_scene", scene_id) as connection:
         scene_rows.delete(
             connection, tenant, scene_rows.require_scene(connection, tenant, scene_id, lock=True)
         )
-        audit.record(connection, who, "delete_scene", scene_id)
-    return Response(status_code=204)
 
 
 _PAGE: dict[int | str, dict[str, Any]] = {

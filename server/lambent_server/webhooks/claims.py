@@ -124,11 +124,13 @@ class _Waiting:
 
 def _take(database: Database, settings: Settings, chosen: Collection[str]) -> list[Claimed]:
     """Mark those of the chosen deliveries that are still due and that no other server takes right now."""
+    # Chosen without a lock, so each may be taken or settled by now: the condition is asked again under it.
     due = across_tenants(webhook_deliveries).where(webhook_deliveries.c.id.in_(chosen), is_due(settings))
     token = secrets.token_hex(8)
     with database.write() as connection:
         taken = many(connection, due.with_for_update(skip_locked=True), Claimed)
         mine = webhook_deliveries.c.id.in_([row.id for row in taken])
+        # The claim is a lease: a server that dies settles nothing, and then the delivery is due again.
         until = now() + lease_s(settings)
         connection.execute(update(webhook_deliveries).where(mine).values(claim=token, next_at=until))
         return [replace(row, claim=token, next_at=until, secrets=_secrets(connection, row)) for row in taken]

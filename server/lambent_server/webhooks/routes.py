@@ -91,23 +91,20 @@ def change_webhook(
 ) -> Webhook:
     """Change a subscription; what is not given stays."""
     require_key(request, _WHAT)
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "change_webhook", webhook_id) as connection:
         row = webhook_rows.require(connection, tenant, webhook_id, lock=True)
         require_match(if_match, webhook_rows.show(row))
         changed = webhook_rows.update(connection, tenant, row, body, services.settings, who.maker)
-        audit.record(connection, who, "change_webhook", webhook_id)
         return webhook_rows.show(changed)
 
 
 @router.delete(
     "/v1/webhooks/{webhook_id:id}", status_code=204, response_class=Response, responses=problems(403, 404)
 )
-def delete_webhook(services: ServicesOf, tenant: TenantOf, who: WhoOf, webhook_id: Id) -> Response:
+def delete_webhook(services: ServicesOf, tenant: TenantOf, who: WhoOf, webhook_id: Id) -> None:
     """Delete a subscription and the list of its deliveries; what waits is not sent."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "delete_webhook", webhook_id) as connection:
         webhook_rows.delete(connection, tenant, webhook_id)
-        audit.record(connection, who, "delete_webhook", webhook_id)
-    return Response(status_code=204)
 
 
 @router.post("/v1/webhooks/{webhook_id:id}:rotate", responses=problems(403, 404))
@@ -116,22 +113,20 @@ def rotate_webhook(
 ) -> CreatedWebhook:
     """Replace the secret; for a day deliveries are signed with the old one too."""
     require_key(request, _WHAT)
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "rotate_webhook", webhook_id) as connection:
         row = webhook_rows.require(connection, tenant, webhook_id, lock=True)
         fresh = webhook_rows.rotate(connection, tenant, row, services.settings.webhook_rotation_s)
-        audit.record(connection, who, "rotate_webhook", webhook_id)
         return webhook_rows.show_created(fresh)
 
 
 @router.post("/v1/webhooks/{webhook_id:id}:ping", status_code=202, responses=problems(403, 404, 409))
 def ping_webhook(services: ServicesOf, tenant: TenantOf, who: WhoOf, webhook_id: Id) -> Delivery:
     """Send a message of type `ping`; the delivery tells how that went."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "ping_webhook", webhook_id) as connection:
         row = webhook_rows.require(connection, tenant, webhook_id)
         if row.disabled_at is not None:
             raise conflict("webhook_disabled", f"webhook {webhook_id} is disabled; enable it first")
         delivery_id = webhook_outbox.ping(connection, tenant, row)
-        audit.record(connection, who, "ping_webhook", webhook_id)
         return webhook_rows.show_delivery(webhook_rows.require_delivery(connection, tenant, delivery_id))
 
 
@@ -139,9 +134,8 @@ def ping_webhook(services: ServicesOf, tenant: TenantOf, who: WhoOf, webhook_id:
 def get_webhook_secret(services: ServicesOf, tenant: TenantOf, who: WhoOf, request: Request) -> SigningSecret:
     """Return the secret that signs what jobs with a `webhook` of their own send; the first call makes it."""
     require_key(request, _WHAT)
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "get_webhook_secret") as connection:
         secret = webhook_outbox.secret_of_jobs(connection, tenant).secret
-        audit.record(connection, who, "get_webhook_secret")
         return SigningSecret(secret=secret)
 
 
@@ -152,9 +146,8 @@ def rotate_webhook_secret(
     """Replace that secret; for a day deliveries are signed with the old one too."""
     require_key(request, _WHAT)
     overlap_s = services.settings.webhook_rotation_s
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "rotate_webhook_secret") as connection:
         secret = webhook_rows.rotate_secret_of_jobs(connection, tenant, overlap_s)
-        audit.record(connection, who, "rotate_webhook_secret")
         return SigningSecret(secret=secret)
 
 
@@ -180,8 +173,7 @@ def get_delivery(services: ServicesOf, tenant: TenantOf, delivery_id: Id) -> Del
 @router.post("/v1/deliveries/{delivery_id:id}:redeliver", status_code=202, responses=problems(403, 404, 409))
 def redeliver(services: ServicesOf, tenant: TenantOf, who: WhoOf, delivery_id: Id) -> Delivery:
     """Deliver again, with the same id and body; the attempts go on for another day."""
-    with services.database.write() as connection:
+    with audit.recorded(services.database, who, "redeliver", delivery_id) as connection:
         row = webhook_rows.require_delivery(connection, tenant, delivery_id, lock=True)
         again = webhook_rows.redeliver(connection, tenant, row)
-        audit.record(connection, who, "redeliver", delivery_id)
         return webhook_rows.show_delivery(again)

@@ -2,8 +2,10 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from errno import EADDRINUSE
+from functools import partial, wraps
 from typing import Any, NoReturn, TypeVar
 
 import grpc
@@ -53,6 +55,8 @@ class Refused(Exception):  # noqa: N818 (an answer, not a mistake)
 def _abort(context: grpc.ServicerContext, error: Exception) -> NoReturn:
     if isinstance(error, Refused):
         context.abort(error.code, str(error))
+    if isinstance(error, worker_uploads.BrokenUploadError):
+        context.abort(grpc.StatusCode.DATA_LOSS, str(error))
     if isinstance(error, Problem):
         # The run tries again what another time may bring, such as a full disk.
         code = grpc.StatusCode.UNAVAILABLE if error.retryable else grpc.StatusCode.INVALID_ARGUMENT
@@ -65,6 +69,34 @@ def _abort(context: grpc.ServicerContext, error: Exception) -> NoReturn:
         log.warning("worker_request_put_off", reason=problem.code, error=type(error).__name__)
     context.abort(grpc.StatusCode.UNAVAILABLE, type(error).__name__)
     raise AssertionError
+
+
+@contextmanager
+def _answering(context: grpc.ServicerContext) -> Iterator[None]:
+    """Answer with a status what is refused, and what goes wrong with the database or the disk."""
+    try:
+        yield
+    except (Refused, worker_uploads.BrokenUploadError, Problem, SQLAlchemyError, OSError) as error:
+        _abort(context, error)
+
+
+Act = Callable[["WorkerServicer", Any, Connection, JobRow], Message]
+
+
+def _of_run(
+    *, even_if_ended: bool = False, signal: bool = True
+) -> Callable[[Act], Callable[["WorkerServicer", Any, Any], Any]]:
+    """Let a method answer a request in one transaction, if it comes from the current run."""
+
+    def decorated(act: Act) -> Callable[["WorkerServicer", Any, Any], Any]:
+        @wraps(act)
+        def call(self: "WorkerServicer", request: Any, context: Any) -> Any:
+            done = partial(act, self, request)
+            return self._answer(context, request, done, even_if_ended=even_if_ended, signal=signal)
+
+        return call
+
+    return decorated
 
 
 class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
@@ -113,18 +145,18 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def _answer(
         self,
         context: grpc.ServicerContext,
-        fence: worker_pb2.Fence,
+        request: Any,
         act: Callable[[Connection, JobRow], Reply],
         *,
         even_if_ended: bool = False,
-        signal: bool = True,
-        given: Message | None = None,
+        signal: bool = False,
     ) -> Reply:
         """Run `act` in one transaction, if the request comes from the current run.
 
-        A run that reports too much with `given` fails.
+        A run that reports too much with it fails.
         """
-        try:
+        fence: worker_pb2.Fence = request.fence
+        with _answering(context):
             self._authenticate(context, fence)
             with (
                 self._shares.timed(fence.job_id, fence.run) as begin,
@@ -134,7 +166,7 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
                 job = self._current_job(connection, fence)
                 if not even_if_ended:
                     self._require_active(job, fence)
-                too_much = report_limits.excess(given, job)
+                too_much = report_limits.excess(request, job)
                 if too_much:
                     report_limits.end(connection, job, too_much, self._services.settings)
                 else:
@@ -142,8 +174,6 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             if too_much:
                 self._services.wakeups.signal()
                 raise Refused(grpc.StatusCode.INVALID_ARGUMENT, f"{report_limits.CODE}: {too_much}")
-        except (Refused, Problem, SQLAlchemyError, OSError) as error:
-            _abort(context, error)
         if signal:
             self._services.wakeups.signal()
         return reply
@@ -151,57 +181,42 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
     def _servers_for(self, job: JobRow) -> Sequence[str]:
         return self._servers((job.handle or {}).get("host", ""))
 
-    def Register(self, request: Any, context: Any) -> Any:  # noqa: N802
+    @_of_run(signal=False)
+    def Register(self, request: Any, connection: Connection, job: JobRow) -> Message:  # noqa: N802
         """Store the handle of the process, in case the server that started it ended before it could."""
+        values: dict[str, Any] = {"heartbeat_at": now()}
+        handle = job.handle or {}
+        if not is_placed(handle):
+            run = run_name(job.id, job.run)
+            found = {"pid": request.pid, "identity": request.process_identity, "run": run}
+            values["handle"] = {"gpus": [], **handle, **found}
+        set_fields(connection, job, **values)
+        heartbeat_s = self._services.settings.heartbeat_s
+        return worker_pb2.RegisterResponse(heartbeat_s=heartbeat_s, servers=self._servers_for(job))
 
-        def act(connection: Connection, job: JobRow) -> Message:
-            values: dict[str, Any] = {"heartbeat_at": now()}
-            handle = job.handle or {}
-            if not is_placed(handle):
-                run = run_name(job.id, job.run)
-                found = {"pid": request.pid, "identity": request.process_identity, "run": run}
-                values["handle"] = {"gpus": [], **handle, **found}
-            set_fields(connection, job, **values)
-            heartbeat_s = self._services.settings.heartbeat_s
-            return worker_pb2.RegisterResponse(heartbeat_s=heartbeat_s, servers=self._servers_for(job))
-
-        return self._answer(context, request.fence, act, signal=False)
-
-    def Start(self, request: Any, context: Any) -> Any:  # noqa: N802
+    @_of_run(signal=False)
+    def Start(self, request: Any, connection: Connection, job: JobRow) -> Message:  # noqa: N802
         """Return the work to do."""
+        set_fields(connection, job, heartbeat_at=now(), progress_at=now())
+        return run_reports.describe_run(connection, job, self._services.settings)
 
-        def act(connection: Connection, job: JobRow) -> Message:
-            set_fields(connection, job, heartbeat_at=now(), progress_at=now())
-            return run_reports.describe_run(connection, job, self._services.settings)
-
-        return self._answer(context, request.fence, act, signal=False)
-
-    def Heartbeat(self, request: Any, context: Any) -> Any:  # noqa: N802
+    @_of_run(signal=False)
+    def Heartbeat(self, request: Any, connection: Connection, job: JobRow) -> Message:  # noqa: N802
         """Record that the process is alive, and tell it whether to stop."""
+        set_fields(connection, job, heartbeat_at=now())
+        return worker_pb2.HeartbeatResponse(stop=_must_stop(job), servers=self._servers_for(job))
 
-        def act(connection: Connection, job: JobRow) -> Message:
-            set_fields(connection, job, heartbeat_at=now())
-            return worker_pb2.HeartbeatResponse(stop=_must_stop(job), servers=self._servers_for(job))
-
-        return self._answer(context, request.fence, act, signal=False)
-
-    def Report(self, request: Any, context: Any) -> Any:  # noqa: N802
+    @_of_run()
+    def Report(self, request: Any, connection: Connection, job: JobRow) -> Message:  # noqa: N802
         """Store progress and events; a report that is sent again is stored only once."""
+        run_reports.store_report(connection, job, request, self._services.settings)
+        return worker_pb2.ReportResponse(stop=_must_stop(job), servers=self._servers_for(job))
 
-        def act(connection: Connection, job: JobRow) -> Message:
-            run_reports.store_report(connection, job, request, self._services.settings)
-            return worker_pb2.ReportResponse(stop=_must_stop(job), servers=self._servers_for(job))
-
-        return self._answer(context, request.fence, act, given=request)
-
-    def ReportScene(self, request: Any, context: Any) -> Any:  # noqa: N802
+    @_of_run()
+    def ReportScene(self, request: Any, connection: Connection, job: JobRow) -> Message:  # noqa: N802
         """Store the findings and measurements of the scene."""
-
-        def act(connection: Connection, job: JobRow) -> Message:
-            run_reports.store_scene_report(connection, job, request)
-            return worker_pb2.ReportSceneResponse()
-
-        return self._answer(context, request.fence, act)
+        run_reports.store_scene_report(connection, job, request)
+        return worker_pb2.ReportSceneResponse()
 
     def PutBlob(self, request_iterator: Iterator[Any], context: Any) -> Any:  # noqa: N802
         """Store a file of the run, only if it is complete and matches its hash."""
@@ -210,114 +225,87 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
             _abort(context, Refused(grpc.StatusCode.INVALID_ARGUMENT, "the first message names the blob"))
         header = first.header
         # Check the run first: a stale one must not even fill the disk.
-        job = self._answer(context, header.fence, lambda _, job: job, signal=False)
-        try:
+        job = self._answer(context, header, _job_itself)
+        with _answering(context):
             created = worker_uploads.receive(self._services, owner(job), header, request_iterator)
-        except worker_uploads.BrokenUploadError as error:
-            _abort(context, Refused(grpc.StatusCode.DATA_LOSS, str(error)))
-        except (Problem, SQLAlchemyError, OSError) as error:
-            _abort(context, error)
-        return worker_pb2.PutBlobResponse(created=created)
+            return worker_pb2.PutBlobResponse(created=created)
 
     def GetBlob(self, request: Any, context: Any) -> Iterator[Any]:  # noqa: N802
         """Send a file that the job's tenant may read."""
-        blob = self._answer(context, request.fence, _blob_of(request.sha256), signal=False)
-        try:
+        blob = self._answer(context, request, partial(_find_blob, request.sha256))
+        with _answering(context):
             for chunk in self._services.store.read(blob.sha256, blob.size_bytes):
                 # The store decides the size of its pieces, and the channel limits the size of a message.
                 for start in range(0, len(chunk), CHUNK_BYTES):
                     yield worker_pb2.GetBlobResponse(data=chunk[start : start + CHUNK_BYTES])
-        except (Problem, OSError) as error:
-            _abort(context, error)
 
     def PlanUpload(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Return where to send a file of the run, unless the server has it."""
-        job = self._answer(context, request.fence, lambda _, job: job, signal=False)
-        try:
+        job = self._answer(context, request, _job_itself)
+        with _answering(context):
             return worker_uploads.plan(self._services, owner(job), request)
-        except (Problem, SQLAlchemyError, OSError) as error:
-            _abort(context, error)
 
     def CompleteUpload(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Take over a file that the run has sent to the store."""
-        job = self._answer(context, request.fence, lambda _, job: job, signal=False)
-        try:
+        job = self._answer(context, request, _job_itself)
+        with _answering(context):
             return worker_uploads.complete(self._services, owner(job), request)
-        except worker_uploads.BrokenUploadError as error:
-            _abort(context, Refused(grpc.StatusCode.DATA_LOSS, str(error)))
-        except (Problem, SQLAlchemyError, OSError) as error:
-            _abort(context, error)
 
     def LocateBlob(self, request: Any, context: Any) -> Any:  # noqa: N802
         """Return where to read a file that the job's tenant may read."""
-        blob = self._answer(context, request.fence, _blob_of(request.sha256), signal=False)
-        try:
+        blob = self._answer(context, request, partial(_find_blob, request.sha256))
+        with _answering(context):
             # Not in the transaction: the bytes may have to be read first.
             return worker_pb2.LocateBlobResponse(url=worker_uploads.locate(self._services, blob))
-        except (Problem, OSError) as error:
-            _abort(context, error)
 
-    def CommitCheckpoint(self, request: Any, context: Any) -> Any:  # noqa: N802
+    @_of_run()
+    def CommitCheckpoint(self, request: Any, connection: Connection, job: JobRow) -> Message:  # noqa: N802
         """Store a checkpoint as the newest one."""
+        run_reports.store_checkpoint(connection, job, request.manifest)
+        return worker_pb2.CommitCheckpointResponse()
 
-        def act(connection: Connection, job: JobRow) -> Message:
-            run_reports.store_checkpoint(connection, job, request.manifest)
-            return worker_pb2.CommitCheckpointResponse()
-
-        return self._answer(context, request.fence, act, given=request)
-
-    def Publish(self, request: Any, context: Any) -> Any:  # noqa: N802
+    @_of_run(even_if_ended=True)
+    def Publish(self, request: Any, connection: Connection, job: JobRow) -> Message:  # noqa: N802
         """Publish the result and complete the job; repeating it returns the same answer."""
+        if job.state == SUCCEEDED:
+            return worker_pb2.PublishResponse(bundle_id=job.bundle_id or "")
+        self._require_active(job, request.fence)
+        if job.state == CANCELLING:
+            raise Refused(grpc.StatusCode.FAILED_PRECONDITION, "the job is being cancelled")
+        bundle_id = run_reports.publish(connection, job, request, self._services.store, self._services.signer)
+        succeed(connection, job, bundle_id=bundle_id)
+        return worker_pb2.PublishResponse(bundle_id=bundle_id or "")
 
-        def act(connection: Connection, job: JobRow) -> Message:
-            if job.state == SUCCEEDED:
-                return worker_pb2.PublishResponse(bundle_id=job.bundle_id or "")
-            self._require_active(job, request.fence)
-            if job.state == CANCELLING:
-                raise Refused(grpc.StatusCode.FAILED_PRECONDITION, "the job is being cancelled")
-            bundle_id = run_reports.publish(
-                connection, job, request, self._services.store, self._services.signer
-            )
-            succeed(connection, job, bundle_id=bundle_id)
-            return worker_pb2.PublishResponse(bundle_id=bundle_id or "")
-
-        return self._answer(context, request.fence, act, even_if_ended=True, given=request)
-
-    def Finish(self, request: Any, context: Any) -> Any:  # noqa: N802
+    @_of_run(even_if_ended=True)
+    def Finish(self, request: Any, connection: Connection, job: JobRow) -> Message:  # noqa: N802
         """End a run without a bundle."""
+        # A requested stop is completed when the process is gone.
+        if job.state in HAS_RUN and job.state != CANCELLING and job.stop_reason is None:
+            if request.outcome == worker_pb2.OUTCOME_SUCCEEDED:
+                succeed(connection, job)
+            else:
+                requeue(connection, job, "stopped from outside after a checkpoint")
+        _note_end(connection, job)
+        return worker_pb2.FinishResponse()
 
-        def act(connection: Connection, job: JobRow) -> Message:
-            # A requested stop is completed when the process is gone.
-            if job.state in HAS_RUN and job.state != CANCELLING and job.stop_reason is None:
-                if request.outcome == worker_pb2.OUTCOME_SUCCEEDED:
-                    succeed(connection, job)
-                else:
-                    requeue(connection, job, "stopped from outside after a checkpoint")
-            _note_end(connection, job)
-            return worker_pb2.FinishResponse()
-
-        return self._answer(context, request.fence, act, even_if_ended=True)
-
-    def Fail(self, request: Any, context: Any) -> Any:  # noqa: N802
+    @_of_run(even_if_ended=True)
+    def Fail(self, request: Any, connection: Connection, job: JobRow) -> Message:  # noqa: N802
         """End a failed run, and decide whether the job is retried."""
-
-        def act(connection: Connection, job: JobRow) -> Message:
-            if job.state in HAS_RUN and job.state != CANCELLING and job.stop_reason is None:
-                run_reports.store_failure(connection, job, request, self._services.settings)
-            _note_end(connection, job)
-            return worker_pb2.FailResponse()
-
-        return self._answer(context, request.fence, act, even_if_ended=True)
+        if job.state in HAS_RUN and job.state != CANCELLING and job.stop_reason is None:
+            run_reports.store_failure(connection, job, request, self._services.settings)
+        _note_end(connection, job)
+        return worker_pb2.FailResponse()
 
 
-def _blob_of(sha256: str) -> Callable[[Connection, JobRow], Blob]:
-    def act(connection: Connection, job: JobRow) -> Blob:
-        blob = find_blob(connection, owner(job), sha256)
-        if blob is None:
-            raise Refused(grpc.StatusCode.NOT_FOUND, f"there is no blob {sha256}")
-        return blob
+def _job_itself(_: Connection, job: JobRow) -> JobRow:
+    return job
 
-    return act
+
+def _find_blob(sha256: str, connection: Connection, job: JobRow) -> Blob:
+    blob = find_blob(connection, owner(job), sha256)
+    if blob is None:
+        raise Refused(grpc.StatusCode.NOT_FOUND, f"there is no blob {sha256}")
+    return blob
 
 
 def _note_end(connection: Connection, job: JobRow) -> None:
