@@ -52,6 +52,7 @@ class Scratch(NamedTuple):
     voxels: Voxels
     first: NDArray[np.float32]
     second: NDArray[np.float32]
+    """Outputs of the layers of a network: each of the two holds the inputs of the next layer in turn."""
 
 
 @inlined()
@@ -87,14 +88,14 @@ def _occupied(points, count, occupancy, box, scratch):
         for i in range(count):
             contracted[axis, i] = (points[axis, i] - box.middle[axis]) * box.inverse_half[axis]
     lookup.encode(contracted, count, occupancy, scratch.voxels, shares, 0)
-    found = 0
+    occupied = 0
     for i in range(count):
         share = shares[0, i]
-        index[found] = i
-        shares[0, found] = share
-        # A number that is none counts.
-        found += 0 if share == ZERO else 1
-    return found
+        index[occupied] = i
+        shares[0, occupied] = share
+        # A NaN counts.
+        occupied += 0 if share == ZERO else 1
+    return occupied
 
 
 @inlined()
@@ -110,23 +111,23 @@ def _contract(points, count, inverse_radius):
 def densities(points, count, grid, networks, density, occupancy, box, scratch, result):
     """Write the density [1/scene unit] at the first `count` of `points` [3, any] to `result` [any]."""
     index, contracted, shares = scratch.index, scratch.contracted, scratch.shares
-    found = _occupied(points, count, occupancy, box, scratch)
+    occupied = _occupied(points, count, occupancy, box, scratch)
     for i in range(count):
         result[i] = ZERO
-    for j in range(found):
+    for j in range(occupied):
         for axis in range(3):
             contracted[axis, j] = points[axis, index[j]]
-    _contract(contracted, found, density.inverse_radius)
-    lookup.encode(contracted, found, grid, scratch.voxels, scratch.features, 0)
+    _contract(contracted, occupied, density.inverse_radius)
+    lookup.encode(contracted, occupied, grid, scratch.voxels, scratch.features, 0)
     inputs = num_features_of(grid)
-    for c in range(0, found, COLUMNS):
+    for c in range(0, occupied, COLUMNS):
         raw = blocks.run(
             networks, density.begin, density.end, density.sharpness,
             scratch.features, inputs, c, scratch.first, scratch.second,
         )  # fmt: skip
         for r in range(COLUMNS):
             raw[0, r] = of_raw(raw[0, r], density.bias)
-        for r in range(min(COLUMNS, found - c)):
+        for r in range(min(COLUMNS, occupied - c)):
             result[index[c + r]] = shares[0, c + r] * raw[0, r]
 
 
@@ -154,7 +155,7 @@ def samples(
     """Write density [point] and hidden feature [point, width] at `positions` [point, 3].
 
     The arguments from `table` to `box_arrays` are `Grid`, `Networks`, `Density`, `Grid` and `Box` as
-    plain tuples: numba's cache would not survive a change of the classes.
+    plain tuples.
     """
     grid, networks, query = Grid(*table), Networks(*parameters), Density(*settings)
     occupancy, box = Grid(*occupancy_table), Box(*box_arrays)

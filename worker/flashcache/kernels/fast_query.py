@@ -54,8 +54,7 @@ def answer(
 ):  # fmt: skip
     """Write the answers to the rays `begin` to `end`: the five results of `FastCache.forward`.
 
-    The four arguments after `light` are two `Grid`, `Networks` and `FastQuery` as plain tuples: numba's
-    cache would not survive a change of the classes.
+    The four arguments after `light` are two `Grid`, `Networks` and `FastQuery` as plain tuples.
     """
     distance_grid, feature_grid = lookup.Grid(*distance_table), lookup.Grid(*feature_table)
     networks, query = Networks(*parameters), FastQuery(*settings)
@@ -70,6 +69,7 @@ def answer(
     part = ONE / np.float32(count)
     scale, slope, exponent = query.ladder
 
+    # Memory for a block of rays, as [row, ray]; `t` and `w` are the distances and weights of its samples.
     rays = np.zeros((6, RAYS), np.float32)
     contracted = np.zeros((3, RAYS), np.float32)
     voxels = lookup.voxels_of(RAYS * count)
@@ -77,9 +77,10 @@ def answer(
     points = np.zeros((3, RAYS * count), np.float32)
     features = np.zeros((num_features, RAYS * count), np.float32)
     t, w = np.zeros((count, RAYS), np.float32), np.zeros((count, RAYS), np.float32)
+    # Memory for a tile of it: a network's inputs, and its layers' outputs, which alternate between two.
     inputs = np.zeros((query.widest, COLUMNS), np.float32)
-    first, second = np.zeros_like(inputs), np.zeros_like(inputs)
-    total, moment, seen = np.zeros((3, COLUMNS), np.float32)
+    even_layers, odd_layers = np.zeros_like(inputs), np.zeros_like(inputs)
+    largest, total, seen, moment, value = np.zeros((5, COLUMNS), np.float32)
     for start in range(begin, end, RAYS):
         size = min(RAYS, end - start)
         # Points lie sample after sample.
@@ -88,6 +89,8 @@ def answer(
             for axis in range(3):
                 rays[axis, r] = origins[start + r, axis]
                 rays[3 + axis, r] = directions[start + r, axis]
+
+        # 1. One look-up of the distance grid at each origin.
         for r in range(size):
             contracted[0, r], contracted[1, r], contracted[2, r] = blocks.contract(
                 rays[0, r], rays[1, r], rays[2, r], query.inverse_radius
@@ -95,7 +98,10 @@ def answer(
         lookup.encode(contracted, size, distance_grid, voxels, codes, 0)
         for c in range(0, size, COLUMNS):
             rows = min(COLUMNS, size - c)
-            code = blocks.run(networks, 0, query.num_code, ONE, codes, num_coded, c, first, second)
+
+            # 2. The distance network sees the code of that, the origin and the direction. Its outputs are
+            # `count` offsets, gates and logits each, and the opacity.
+            code = blocks.run(networks, 0, query.num_code, ONE, codes, num_coded, c, even_layers, odd_layers)
             if query.num_code == 0:
                 blocks.copy_rows(codes, c, 0, num_coded, inputs, 0)
             else:
@@ -104,19 +110,26 @@ def answer(
             blocks.copy_rows(rays, c, 3, 3, inputs, at_directions)
             blocks.encode_frequencies(inputs, num_code, 3, query.position_frequencies)
             blocks.encode_frequencies(inputs, at_directions, 3, query.direction_frequencies)
-            raw = blocks.run(networks, query.num_code, head + 1, ONE, inputs, num_encoded, 0, first, second)
+            raw = blocks.run(
+                networks, query.num_code, head + 1, ONE, inputs, num_encoded, 0, even_layers, odd_layers
+            )
+
+            # 3. Weights are a softmax of the logits times the opacity: first the largest logit, so that no
+            # exponential overflows, then the exponentials with their total.
             for r in range(COLUMNS):
-                largest = raw[2 * count, r]
+                most = raw[2 * count, r]
                 for k in range(1, count):
-                    largest = raw[2 * count + k, r] if raw[2 * count + k, r] > largest else largest
-                moment[r] = largest
+                    most = raw[2 * count + k, r] if raw[2 * count + k, r] > most else most
+                largest[r] = most
                 total[r] = np.float32(0.0)
             for k in range(count):
                 even = np.float32(k) / np.float32(count - 1)
                 for r in range(COLUMNS):
-                    share = functions.exponential(raw[2 * count + k, r] - moment[r])
+                    share = functions.exponential(raw[2 * count + k, r] - largest[r])
                     w[k, c + r] = share
                     total[r] += share
+                    # 4. Places are spread evenly over the ray, shifted by their gated offsets and folded back
+                    # into [0, 1]; the ladder makes distances of them (`FastCache._sample_distances`).
                     shifted = even + raw[k, r] * part * functions.sigmoid(raw[count + k, r] - TWO)
                     whole = np.floor(shifted)
                     rest = shifted - whole
@@ -131,10 +144,14 @@ def answer(
                 for r in range(COLUMNS):
                     w[k, c + r] *= total[r]
                     moment[r] += w[k, c + r] * t[k, c + r]
+
+            # 5. Opacity, and the mean distance over the weights.
             for r in range(rows):
                 hit = seen[r] >= query.least_opacity
                 opacity[start + c + r] = seen[r]
                 distance[start + c + r] = moment[r] / seen[r] if hit else query.far
+
+        # 6. One look-up of the feature grid at each sample.
         for k in range(count):
             for r in range(size):
                 i = k * stride + r
@@ -151,16 +168,21 @@ def answer(
         lookup.encode(points, stride * count, feature_grid, voxels, features, 0)
         for c in range(0, size, COLUMNS):
             rows = min(COLUMNS, size - c)
+
+            # 7. The decoder sees the weighted sum of a ray's features, and answers for every light: that of
+            # the ray is picked. Colour times opacity makes empty rays black.
             for f in range(num_features):
                 for r in range(COLUMNS):
                     inputs[f, r] = np.float32(0.0)
                 for k in range(count):
                     for r in range(COLUMNS):
                         inputs[f, r] += w[k, c + r] * features[f, k * stride + c + r]
-            raw = blocks.run(networks, decoder, colours + 1, ONE, inputs, num_features, 0, first, second)
+            raw = blocks.run(
+                networks, decoder, colours + 1, ONE, inputs, num_features, 0, even_layers, odd_layers
+            )
             for axis in range(3):
                 for r in range(rows):
                     row = axis + (3 * light[start + c + r] if query.num_lights > 1 else 0)
-                    moment[r] = raw[row, r] + query.colour_bias
+                    value[r] = raw[row, r] + query.colour_bias
                 for r in range(rows):
-                    radiance[start + c + r, axis] = opacity[start + c + r] * functions.softplus(moment[r])
+                    radiance[start + c + r, axis] = opacity[start + c + r] * functions.softplus(value[r])

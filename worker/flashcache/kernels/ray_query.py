@@ -97,8 +97,7 @@ def sample(
     `starts` and `lengths` [ray] are ladder coordinates of the near end, and of the far end from there;
     `ladder` has the constants of the inverse. `counts` are the numbers of samples. `tables` and
     `settings` are those of both proposals and of the density; they and the next ones are `Grid`,
-    `Networks`, `Density`, `Grid` and `Box` as plain tuples: numba's cache would not survive a change of
-    the classes.
+    `Networks`, `Density`, `Grid` and `Box` as plain tuples.
     """
     networks = Networks(*parameters)
     occupancy, box = Grid(*occupancy_table), Box(*box_arrays)

@@ -42,7 +42,7 @@ class Appearance(NamedTuple):
     end: int
     num_lights: int
     view_frequencies: int
-    """-1: the view direction is no input."""
+    """-1 without the view direction as an input."""
     inverse_radius: np.float32
     width_bias: np.float32
     factor_bias: np.float32
@@ -96,7 +96,7 @@ def outgoing(
     """Write the three parts of the radiance [point, 3] that points send towards `omega_o`.
 
     The arguments from `table` to `constants` are `Grid`, `Networks`, `Appearance` and `Directional` as
-    plain tuples: numba's cache would not survive a change of the classes.
+    plain tuples.
     """
     grid, networks, query = Grid(*table), Networks(*parameters), Appearance(*settings)
     directional = Directional(*constants)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from lambent_compute.compiling import compiled, inlined
+from numpy.typing import NDArray
 
 ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 INVERSE_PI = np.float32(1.0 / math.pi)
@@ -24,6 +25,48 @@ class Noise(NamedTuple):
     dielectric: np.float32
     """Reflectance of dielectrics at normal incidence."""
     least_albedo: np.float32
+
+
+class Observations(NamedTuple):
+    """What photographs show of the elements, an element after another; see `flashcache.polish.elements`."""
+
+    first: NDArray[np.int64]
+    """Number of each element's first observation, and of all."""
+    omega_o: NDArray[np.float32]
+    detail: NDArray[np.float32]
+    colour: NDArray[np.float32]
+    clipped: NDArray[np.bool_]
+    light: NDArray[np.int64]
+
+
+class Arriving(NamedTuple):
+    """The light at the elements, over the cells of a square of directions."""
+
+    clear: NDArray[np.float32]
+    """[elements, cells]"""
+    near: NDArray[np.float32]
+    """[lights, elements, cells, 3]"""
+    sky: NDArray[np.float32]
+    """[lights, fine cells, 3]"""
+    directions: NDArray[np.float32]
+    solid_angles: NDArray[np.float32]
+
+
+class Lobes(NamedTuple):
+    """The GGX widths that are tried, and how many half vectors stand for each."""
+
+    alphas: NDArray[np.float32]
+    halves: NDArray[np.float32]
+    """Variates [widths, most, 3]; see `_lobe_directions`."""
+    counts: NDArray[np.int64]
+
+
+class Costs(NamedTuple):
+    """Results with the axes element, width, hypothesis (0 dielectric, 1 metal)."""
+
+    cost: NDArray[np.float32]
+    tilt: NDArray[np.int64]
+    albedo: NDArray[np.float32]
 
 
 @inlined()
@@ -154,10 +197,13 @@ def _lobe(picture, side, omega_o, normal, alpha, halves, count, turn, first, sec
 
 
 @inlined()
-def _solved(
-    metal, irradiance, first, second, detail, colour, clipped, light, begin, end, noise, albedo, robust
-):
-    """Write the best albedo of one hypothesis for observations `begin` to `end`, and return its cost."""
+def _solved(metal, irradiance, first, second, seen, begin, end, noise, albedo, robust):
+    """Write the best albedo of one hypothesis for observations `begin` to `end`, and return its cost.
+
+    Reweighted least squares: the albedo for the present weights, then the weights for what it leaves, so that
+    outliers hardly count.
+    """
+    detail, colour, clipped, light = seen.detail, seen.colour, seen.clipped, seen.light
     count = end - begin
     for o in range(count):
         robust[o] = ONE
@@ -184,14 +230,14 @@ def _solved(
             for c in range(3):
                 measured = colour[begin + o, c]
                 if metal:
-                    found = albedo[c] * detail[begin + o, c] * first[o, c] + second[o, c]
+                    predicted = albedo[c] * detail[begin + o, c] * first[o, c] + second[o, c]
                 else:
-                    found = (
+                    predicted = (
                         albedo[c] * detail[begin + o, c] * irradiance[light[begin + o], c]
                         + noise.dielectric * first[o, c]
                         + second[o, c]
                     )
-                error = found - measured
+                error = predicted - measured
                 if clipped[begin + o, c] and error > ZERO:
                     error = ZERO
                 squared += error * error / (measured + noise.floor)
@@ -203,34 +249,38 @@ def _solved(
 
 @compiled()
 def sweep(
-    begin, end, first_tilt, rows, first, omega_o, detail, colour, clipped, light, normal, tilts, tilt_cost,
-    clear, near, sky, directions, solid_angles, alphas, halves, counts, noise_values, cost, choice, albedo,
-):  # fmt: skip
+    begin, end, first_tilt, rows, observations, arriving, lobes, normal, tilts, tilt_cost, noise, costs
+):
     """Write for the elements `rows` the cost, tilt and albedo of every width and both hypotheses.
 
-    For `begin` to `end` of these. `near` [lights, elements, cells, 3], `sky` [lights, fine cells, 3]; results
-    have the axes element, width, hypothesis (0 dielectric, 1 metal). Tilts are tried from `first_tilt` on and
-    chosen where they cost less than what stands there.
+    For `begin` to `end` of these. Tilts of `normal` [elements, 3] are tried from `first_tilt` on and chosen
+    where they cost less than the results so far. The groups are `Observations`, `Arriving`, `Lobes`, `Noise`
+    and `Costs` as plain tuples.
     """
-    noise = Noise(noise_values[0], noise_values[1], noise_values[2], noise_values[3])
-    num_lights, cells = near.shape[0], clear.shape[1]
+    seen, light, lobe = Observations(*observations), Arriving(*arriving), Lobes(*lobes)
+    noise, best = Noise(*noise), Costs(*costs)
+    num_lights, cells = light.near.shape[0], light.clear.shape[1]
     side = int(math.sqrt(cells) + 0.5)
-    fine = int(math.sqrt(sky.shape[1]) + 0.5)
+    fine = int(math.sqrt(light.sky.shape[1]) + 0.5)
     scale = fine // side
     pictures = np.zeros((num_lights, fine * fine, 3), np.float32)
     coarse = np.zeros((num_lights, cells, 3), np.float32)
     irradiance = np.zeros((num_lights, 3), np.float32)
-    one = np.zeros((len(alphas), MOST_OBSERVATIONS, 3), np.float32)
-    two = np.zeros((len(alphas), MOST_OBSERVATIONS, 3), np.float32)
+    # The specular integrals of an element's observations by width: what F0 multiplies, and the rest.
+    by_f0 = np.zeros((len(lobe.alphas), MOST_OBSERVATIONS, 3), np.float32)
+    rest = np.zeros((len(lobe.alphas), MOST_OBSERVATIONS, 3), np.float32)
     robust = np.zeros(MOST_OBSERVATIONS, np.float32)
     drawn = np.zeros((MOST_DIRECTIONS, 5), np.float32)
-    tilted, radiance, best = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
+    tilted, radiance, albedo = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
     area = ONE / np.float32(scale * scale)
     for row in range(begin, end):
         e = rows[row]
-        start, stop = first[e], first[e + 1]
+        start, stop = seen.first[e], seen.first[e + 1]
+
+        # 1. What arrives at the element from all directions under each light: at full detail for reflections,
+        # and as means over cells for the irradiance, which is blind to detail.
         for number in range(num_lights):
-            _incoming(pictures[number], clear[e], near[number, e], sky[number], side, scale)
+            _incoming(pictures[number], light.clear[e], light.near[number, e], light.sky[number], side, scale)
             for d in range(cells):
                 for c in range(3):
                     coarse[number, d, c] = ZERO
@@ -239,25 +289,28 @@ def sweep(
                 for c in range(3):
                     coarse[number, cell, c] += area * pictures[number, place, c]
         for t in range(first_tilt, len(tilts)):
+            # 2. The irradiance depends on the normal alone, not on the observation.
             _tilted(normal[e], tilts[t, 0], tilts[t, 1], tilted)
             for number in range(num_lights):
-                _irradiance(coarse[number], directions, solid_angles, tilted, irradiance[number])
-            for k in range(len(alphas)):
+                _irradiance(coarse[number], light.directions, light.solid_angles, tilted, irradiance[number])
+            for k in range(len(lobe.alphas)):
+                # 3. The specular integral of every observation. Each turns the pattern of half vectors by
+                # another angle, so that errors of few directions differ and cancel.
                 for o in range(start, stop):
                     _lobe(
-                        pictures[light[o]], fine, omega_o[o], tilted, alphas[k], halves[k], counts[k],
-                        GOLDEN_ANGLE * np.float32(o - start), one[k, o - start], two[k, o - start], radiance,
-                        drawn,
+                        pictures[seen.light[o]], fine, seen.omega_o[o], tilted, lobe.alphas[k],
+                        lobe.halves[k], lobe.counts[k], GOLDEN_ANGLE * np.float32(o - start),
+                        by_f0[k, o - start], rest[k, o - start], radiance, drawn,
                     )  # fmt: skip
+                # 4. Both hypotheses share these integrals; the best albedo of each has a closed form.
                 for m in range(2):
-                    found = tilt_cost[t] + _solved(
-                        m == 1, irradiance, one[k], two[k], detail, colour, clipped, light, start, stop,
-                        noise, best, robust,
-                    )  # fmt: skip
-                    if found < cost[e, k, m]:
-                        cost[e, k, m], choice[e, k, m] = found, t
+                    tried = tilt_cost[t] + _solved(
+                        m == 1, irradiance, by_f0[k], rest[k], seen, start, stop, noise, albedo, robust
+                    )
+                    if tried < best.cost[e, k, m]:
+                        best.cost[e, k, m], best.tilt[e, k, m] = tried, t
                         for c in range(3):
-                            albedo[e, k, m, c] = best[c]
+                            best.albedo[e, k, m, c] = albedo[c]
 
 
 @compiled()
@@ -322,11 +375,11 @@ def gathered(begin, end, rows, cells, weights, f0, light, residual, gradient):
     """
     for part in range(begin, end):
         for o in range(part * rows, min((part + 1) * rows, len(cells))):
-            found = gradient[part, light[o]]
+            of_light = gradient[part, light[o]]
             r_red, r_green, r_blue = residual[o, 0], residual[o, 1], residual[o, 2]
             f_red, f_green, f_blue = f0[o, 0], f0[o, 1], f0[o, 2]
             for j in range(cells.shape[1]):
                 cell, a, b = cells[o, j], weights[o, j, 0], weights[o, j, 1]
-                found[cell, 0] += (f_red * a + b) * r_red
-                found[cell, 1] += (f_green * a + b) * r_green
-                found[cell, 2] += (f_blue * a + b) * r_blue
+                of_light[cell, 0] += (f_red * a + b) * r_red
+                of_light[cell, 1] += (f_green * a + b) * r_green
+                of_light[cell, 2] += (f_blue * a + b) * r_blue

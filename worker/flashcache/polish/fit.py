@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from flashcache.fields.packing import arrays_of
 from flashcache.geometry.octahedron import octahedral_directions, octahedral_solid_angles
 from flashcache.kernels.cpu import over_rows
 from flashcache.physical.brdf import DIELECTRIC_F0
@@ -107,9 +108,9 @@ def costs(
     The first tilt is none. Where its costs are known, `untilted` saves computing them again.
     """
     every = torch.arange(len(elements))
-    found = Costs.none(len(elements)) if untilted is None else untilted.copy()
-    _sweep(found, every, elements, tables, sky, normal, tilts, 0 if untilted is None else 1)
-    return found
+    best = Costs.none(len(elements)) if untilted is None else untilted.copy()
+    _sweep(best, every, elements, tables, sky, normal, tilts, 0 if untilted is None else 1)
+    return best
 
 
 def costs_of_some(
@@ -121,15 +122,15 @@ def costs_of_some(
     others: Costs,
 ) -> Costs:
     """Return the costs of `ALPHAS` with `normal` at `some` of the elements, and `others` at the rest."""
-    found = others.copy()
+    best = others.copy()
     rows = some.nonzero()[:, 0]
-    found.cost[rows] = NOT_TRIED
-    _sweep(found, rows, elements, tables, sky, normal, NO_TILT, 0)
-    return found
+    best.cost[rows] = NOT_TRIED
+    _sweep(best, rows, elements, tables, sky, normal, NO_TILT, 0)
+    return best
 
 
 def _sweep(
-    found: Costs,
+    best: Costs,
     rows: Int[Tensor, " some"],
     elements: Elements,
     tables: IncomingTables,
@@ -138,36 +139,31 @@ def _sweep(
     tilts: Tilts,
     first_tilt: int,
 ) -> None:
-    """Write into `found` what costs less than it in the elements `rows`."""
+    """Write into `best` what costs less than it in the elements `rows`."""
     widths = len(ALPHAS)
-    cells = octahedral_directions(math.isqrt(tables.clear.shape[1]))
+    side = math.isqrt(tables.clear.shape[1])
     halves = torch.zeros(widths, max(DIRECTIONS), 3)
     for row, number in enumerate(DIRECTIONS):
         halves[row, :number] = half_vectors(number)
-    arguments = (
-        rows,
+    seen = (
         elements.first,
         elements.omega_o,
         elements.detail,
         elements.colour,
         elements.clipped,
         elements.light,
-        elements.normal if normal is None else normal,
-        tilts.moves,
-        tilts.cost,
-        tables.clear,
-        tables.near,
-        sky,
-        cells,
-        octahedral_solid_angles(math.isqrt(tables.clear.shape[1])),
-        torch.tensor(ALPHAS),
-        halves,
-        torch.tensor(DIRECTIONS),
-        torch.tensor([NOISE_FLOOR, OUTLIER, DIELECTRIC_F0, LEAST_ALBEDO]),
-        found.cost,
-        found.tilt,
-        found.albedo,
     )
-    arrays = tuple(np.ascontiguousarray(part.numpy()) for part in arguments[:-3])
-    arrays += tuple(part.numpy() for part in arguments[-3:])
-    over_rows(compiled_fit.sweep, len(rows), BLOCK, first_tilt, *arrays)
+    directions = octahedral_directions(side), octahedral_solid_angles(side)
+    over_rows(
+        compiled_fit.sweep,
+        len(rows),
+        BLOCK,
+        first_tilt,
+        *arrays_of(rows),
+        compiled_fit.Observations(*arrays_of(*seen)),
+        compiled_fit.Arriving(*arrays_of(tables.clear, tables.near, sky, *directions)),
+        compiled_fit.Lobes(*arrays_of(torch.tensor(ALPHAS), halves, torch.tensor(DIRECTIONS))),
+        *arrays_of(elements.normal if normal is None else normal, tilts.moves, tilts.cost),
+        compiled_fit.Noise(*map(np.float32, (NOISE_FLOOR, OUTLIER, DIELECTRIC_F0, LEAST_ALBEDO))),
+        compiled_fit.Costs(best.cost.numpy(), best.tilt.numpy(), best.albedo.numpy()),
+    )

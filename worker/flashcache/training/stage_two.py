@@ -91,6 +91,7 @@ class JointLosses:
         def generator_of(purpose: str) -> torch.Generator:
             return generator_for(self.seed, STAGE, step, f"{purpose} {part}", batch.colour.device)
 
+        # 1. Trace the camera rays. Derived normals cost a Jacobian per point: the first rays alone get them.
         generator = generator_of("part")
         with_normals, with_second, with_gloss = self.phase(step)
         num_derived = own_count(round(config.normal_rays * whole_count(len(batch))))
@@ -100,15 +101,20 @@ class JointLosses:
             generator=generator,
             num_derived=num_derived if with_normals else 0,
         )
+        # 2. The NeRF cache's own picture is compared with the photographs, so that shape and radiance keep
+        # learning while materials do.
         appearance = model.nerf.outgoing(geometry, batch.rays.directions, batch.light_index)
         cache = composite(geometry.weights, appearance.radiance)
         terms = cache_terms(model, config, batch, geometry, cache, generator, with_normals=with_normals)
         terms |= decay_terms(model, config)
+        # 3. Pass A: points drawn on each ray are shaded with materials and light, by the control variate.
+        # Where both passes carry gradients they are one call; while the fast cache warms up there is one.
         passes = 2 if with_second and config.symmetric else 1
         own = generator_of("passes")
         shaded = shade(model, config, batch, geometry, own, passes=passes, with_gloss=with_gloss)
         picture = shaded.pictures.mean(dim=0)
         if with_second:
+            # 4. Pass B gives the second, independent factor of the squared error (supplement Eq. 2).
             if config.symmetric:
                 first, second = shaded.pictures
                 loss = physical_loss(config, batch, cache, first, second)
@@ -120,15 +126,10 @@ class JointLosses:
                     (second,) = shade(model, config, batch, geometry, own, supervise=False).pictures
                 picture = 0.5 * (first + second)
                 terms["physical"] = physical_loss(config, batch, cache, first, second)
+            # 5. What the physical estimates teach the cache, and the priors on materials and environments.
             if config.consistency_weight:
-                terms |= consistency_terms(
-                    model,
-                    shaded.points,
-                    geometry.hidden[shaded.index],
-                    shaded.estimate,
-                    covered(batch, shaded.points),
-                    config.consistency_weight,
-                )
+                at_points = geometry.hidden[shaded.index], shaded.estimate, covered(batch, shaded.points)
+                terms |= consistency_terms(model, shaded.points, *at_points, config.consistency_weight)
             terms |= material_terms(
                 model, config, batch, appearance, shaded, generator, with_gloss=with_gloss
             )
@@ -136,6 +137,7 @@ class JointLosses:
         terms |= metalness_terms(
             model, config, batch, geometry, shaded, generator, warming_up=not with_second
         )
+        # 6. The exact rays of pass A, which the NeRF cache has answered, teach fast cache and light sampler.
         terms |= secondary_terms(model, config, shaded)
         return terms, picture
 
@@ -228,9 +230,9 @@ class StageTwo:
         """Set gradients to those of the next step; return its loss terms and the PSNR of its picture."""
         self.optimiser.zero_grad(set_to_none=False)
         batch = self.draw()
-        found = self.parts.differentiate(batch, self.steps_done)
-        return mean_terms([of_part for of_part, _ in found]) | {
-            PSNR: masked_psnr(torch.cat([picture for _, picture in found]), batch)
+        results = self.parts.differentiate(batch, self.steps_done)
+        return mean_terms([of_part for of_part, _ in results]) | {
+            PSNR: masked_psnr(torch.cat([picture for _, picture in results]), batch)
         }
 
     def _differentiate_fast(self) -> dict[str, Number]:
@@ -270,9 +272,9 @@ class StageTwo:
             geometry = self.model.nerf.trace(batch.rays, generator=None)
             albedo = self.model.materials(geometry.samples.positions.reshape(-1, 3)).albedo
             seen = composite(geometry.weights, albedo).sum(dim=0) / geometry.weights.sum().clamp_min(1e-6)
-            found = {"albedo_mean": float(seen.mean())}
+            means = {"albedo_mean": float(seen.mean())}
             for index, light in enumerate(self.model.domain.lights):
                 image = self.model.environment.image(16, index)
                 up = torch.linspace(0.0, torch.pi, 33, device=image.device)[1::2].sin()[:, None, None]
-                found[f"environment_mean_{light}"] = float((image * up).mean() / up.mean())
-        return found
+                means[f"environment_mean_{light}"] = float((image * up).mean() / up.mean())
+        return means

@@ -81,7 +81,7 @@ SECONDARY_CURVE = DistanceCurve(power=-1.5, premultiplier=2.0)
 
 
 class Round(NamedTuple):
-    """One round of sampling: edges in normalised distance and the weights found between them."""
+    """One round of sampling: edges in normalised distance and the weights between them."""
 
     edges: Float[Tensor, "rays edges"]
     weights: Float[Tensor, "rays samples"]
@@ -116,23 +116,27 @@ def sample_rays(
     """Return the intervals at which the final fields are to be queried.
 
     `exponent` in [0, 1] flattens the proposal weights before they are sampled (annealing).
-    Without a `generator` the samples are deterministic, as in evaluation and for secondary rays
-    then. Gradients never cross rounds. Source: supplement 2.2.
+    Without a `generator` the samples are deterministic, as in evaluation and for most secondary rays.
+    Gradients never cross rounds. Source: supplement 2.2.
     """
     num_rays, device, dtype = len(rays), rays.origins.device, rays.origins.dtype
     near, far = rays.near[:, None], rays.far[:, None]
+    # Before anything is known, all of the ray is one interval.
     edges = torch.linspace(0.0, 1.0, 2, device=device, dtype=dtype).expand(num_rays, 2)
     weights = torch.ones(num_rays, 1, device=device, dtype=dtype)
     rounds = []
     for level, num_samples in enumerate((counts.first, counts.second, counts.final)):
+        # Draw the centres of the next intervals in proportion to the weights of the last ones. One jitter
+        # shifts all strata of a ray, so that they stay evenly spaced.
         jitter = None
         if generator is not None:
             jitter = uniform((num_rays, 1), generator, device, dtype)
         centres = sample_centres(edges, weights.detach(), num_samples, jitter, exponent)
+        # Intervals reach halfway to their neighbours; the density is looked up in their middles.
         edges = edges_from_centres(centres)
         distances = curve.distance(edges, near, far)
         positions = rays.at(midpoints(distances))
-        if level == 2:
+        if level == 2:  # The final fields answer for these.
             break
         weights = render_weights(proposals[level](positions), distances)
         rounds.append(Round(edges, weights))
