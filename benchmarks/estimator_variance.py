@@ -22,6 +22,7 @@ from flashcache.evaluation.lighting import CORRECTION_COUNTS, lit_radiance, sky_
 from flashcache.evaluation.monte_carlo import RenderRule
 from flashcache.evaluation.views import camera_rays
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
+from flashcache.physical.incident import LightSources
 from flashcache.physical.model import InverseModel
 from flashcache.physical.sampling import EnvironmentMapSampler
 from flashcache.physical.shading import ShadingPoints
@@ -106,11 +107,8 @@ def as_in_training(model: InverseModel, points: ShadingPoints, config: Estimator
         return control_variate(
             points,
             materials,
-            nerf=model.nerf_source(generator),
-            fast=model.fast_source(),
-            environment=model.environment,
+            LightSources(model.nerf_source(generator), model.environment, model.limits, model.fast_source()),
             mixture=mixture,
-            limits=model.limits,
             config=config,
             generator=generator,
         ).rgb

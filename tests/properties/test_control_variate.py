@@ -4,7 +4,7 @@ import pytest
 import torch
 from flashcache.geometry.directions import environment_directions, uv_from_direction
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, estimate, relight
-from flashcache.physical.incident import Incident
+from flashcache.physical.incident import Incident, LightSources
 from flashcache.physical.sampling import CosineLobe, EnvironmentMapSampler, GgxLobe
 from support.shading import LIMITS, case, nerf, peaked_mixture, reflected, unit
 from support.statements import (
@@ -129,11 +129,9 @@ def test_relighting_with_a_known_map_is_unbiased_and_far_quieter_than_without_it
         found = relight(
             given.points,
             given.materials,
-            source=nerf,
-            environment=_texels(image),
+            LightSources(nerf, _texels(image), LIMITS),
             light=light,
             counts=_counts(2, 4, 2),
-            limits=LIMITS,
             config=EstimatorConfig(),
             generator=torch.Generator().manual_seed(21),
         )
@@ -151,16 +149,16 @@ def test_lobes_that_share_directions_have_less_noise_than_lobes_with_their_own(a
     given, image = case(ROWS, alpha=alpha), 0.1 * torch.ones(16, 32, 3, dtype=torch.float64)
     image[2:7, 8:16] = 3.0
     light, generator = EnvironmentMapSampler(image), torch.Generator().manual_seed(4)
-    common = {"environment": _texels(image), "limits": LIMITS, "config": EstimatorConfig(stratified=True)}
+    sources, config = LightSources(nerf, _texels(image), LIMITS), EstimatorConfig(stratified=True)
     shared = relight(
-        given.points, given.materials, source=nerf, light=light, counts=_counts(2, 4, 2),
-        generator=generator, continued=True, **common,
+        given.points, given.materials, sources, light=light, counts=_counts(2, 4, 2),
+        config=config, generator=generator, continued=True,
     )  # fmt: skip
     cosine = CosineLobe(given.points.normal)
     lobe = GgxLobe(given.points.omega_o, given.points.normal, given.materials.alpha)
     apart = estimate(
-        given.points, given.materials, source=nerf, diffuse=[(cosine, 2), (light, 2)],
-        specular=[(lobe, 2), (light, 2)], generator=generator, **common,
+        given.points, given.materials, sources, diffuse=[(cosine, 2), (light, 2)],
+        specular=[(lobe, 2), (light, 2)], config=config, generator=generator,
     )  # fmt: skip
 
     def spread_of_pixels(found) -> float:
@@ -178,11 +176,9 @@ def test_any_list_of_strategies_can_serve_either_half():
     found = estimate(
         given.points,
         given.materials,
-        source=nerf,
-        environment=lambda directions, _: directions.square(),
+        LightSources(nerf, lambda directions, _: directions.square(), LIMITS),
         diffuse=[(cosine, 1), (mixture, 2), (lobe, 1)],
         specular=[(lobe, 1), (cosine, 1)],
-        limits=LIMITS,
         config=EstimatorConfig(),
         generator=torch.Generator().manual_seed(17),
     )

@@ -48,7 +48,7 @@ def between_the_walls(count: int) -> SurfacePoints:
 
 
 def lit(caches, known, *, count=2000, seed=2, num_samples=16, indirect=True):
-    """Return the radiance of the point, of which `known` is told."""
+    """Return the radiance of the point, if the renderer knows of `known`."""
     scene = Scene(CacheSurroundings(caches, CORNER.origin_offset, MaterialEdit()))
     return outgoing_radiance(
         between_the_walls(count),

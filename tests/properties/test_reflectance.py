@@ -4,7 +4,7 @@ import pytest
 import torch
 from flashcache.physical.brdf import ggx_density
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
-from flashcache.physical.incident import Incident, RayLimits, unoccluded
+from flashcache.physical.incident import Incident, LightSources, RayLimits, unoccluded
 from support.shading import case, unit
 from support.sphere import sphere_quadrature
 from support.statistics import assert_mean
@@ -30,11 +30,8 @@ def _furnace(alpha: float, metalness: float, rows: int = 20000):
     return control_variate(
         given.points,
         given.materials,
-        nerf=unoccluded,
-        fast=unoccluded,
-        environment=_white,
+        LightSources(unoccluded, _white, RayLimits(near=0.05, far=2.0), unoccluded),
         mixture=None,
-        limits=RayLimits(near=0.05, far=2.0),
         config=EstimatorConfig(exact=counts, control_variate="off", sampler="none"),
         generator=torch.Generator().manual_seed(5),
     )
@@ -76,11 +73,10 @@ def test_light_that_is_all_blocked_leaves_the_near_radiance():
     estimate = control_variate(
         given.points,
         given.materials,
-        nerf=wall,
-        fast=wall,
-        environment=lambda directions, _: 1e3 * _white(directions, _),
+        LightSources(
+            wall, lambda directions, _: 1e3 * _white(directions, _), RayLimits(near=0.05, far=2.0), wall
+        ),
         mixture=None,
-        limits=RayLimits(near=0.05, far=2.0),
         config=EstimatorConfig(sampler="none"),
         generator=torch.Generator().manual_seed(5),
     )

@@ -52,7 +52,7 @@ def small_cache(num_lights: int = 1) -> FastCache:
         distance_layers=2,
         decoder_widths=(16, 16),
     )
-    cache = FastCache(config, 1.0, num_lights, 0.05, 2.0)
+    cache = FastCache(config, 1.0, num_lights, (0.05, 2.0))
     with torch.no_grad():
         cache.distance_head.bias[-1] = -2.0
     return cache

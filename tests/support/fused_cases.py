@@ -52,7 +52,7 @@ def fast_cache(device: torch.device) -> Answers:
     config = FastCacheConfig(
         distance_grid=GRIDS["2 features"], feature_grid=GRIDS["2 features"], num_samples=5, **sizes
     )
-    cache = FastCache(config, RADIUS, 2, 0.05, 2.0)
+    cache = FastCache(config, RADIUS, 2, (0.05, 2.0))
     for parameter in cache.parameters():
         nn.init.normal_(parameter, std=0.3)
     cache = cache.to(device)

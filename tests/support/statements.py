@@ -10,6 +10,7 @@ import torch
 from flashcache.losses.photometric import physical_photometric
 from flashcache.physical.brdf import Materials
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
+from flashcache.physical.incident import LightSources
 from flashcache.physical.shading import Estimate, ShadingPoints
 from support.shading import (
     LIMITS,
@@ -47,11 +48,8 @@ def estimates(
     return control_variate(
         given.points,
         given.materials,
-        nerf=nerf,
-        fast=cache,
-        environment=light,
+        LightSources(nerf, light, LIMITS, cache),
         mixture=peaked_mixture(given.rows, unit(0.5, -0.1, 0.8)) if sampler == "vmf" else None,
-        limits=LIMITS,
         config=config,
         generator=generator or torch.Generator().manual_seed(seed),
         with_variance=with_variance,

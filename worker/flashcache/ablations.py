@@ -41,12 +41,12 @@ def _points_per_ray(count: int) -> Callable[[Config], Mapping[str, str]]:
 
     def settings(config: Config) -> Mapping[str, str]:
         estimator = config.stage_two.estimator
-        found = {"stage_two.points_per_ray": str(count)}
+        changed = {"stage_two.points_per_ray": str(count)}
         for kind in ("fast", "exact"):
             counts: DirectionCounts = getattr(estimator, kind).divided(count)
             for strategy in ("cosine", "sampler", "specular"):
-                found[f"{_ESTIMATOR}.{kind}.{strategy}"] = json.dumps(getattr(counts, strategy))
-        return found
+                changed[f"{_ESTIMATOR}.{kind}.{strategy}"] = json.dumps(getattr(counts, strategy))
+        return changed
 
     return settings
 

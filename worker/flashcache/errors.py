@@ -17,7 +17,7 @@ class TrainingError(FlashCacheError):
 
 
 class RankLostError(FlashCacheError):
-    """A rank cannot go on, because another one is gone or does not answer."""
+    """A rank cannot continue, because another one is gone or does not answer."""
 
 
 class RanksDifferError(FlashCacheError):

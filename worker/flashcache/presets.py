@@ -96,6 +96,32 @@ def _stage_one() -> StageOneConfig:
 
 def fast() -> Config:
     """Return the preset for a first result on your own scene: minutes on two CPU cores (decision 0001)."""
+    return Config(
+        preset="fast",
+        polish="on",
+        max_side=128,
+        crop="object",
+        model=_fast_model(),
+        pixels=PixelChoice(clipped="at_least"),
+        stage_one=replace(
+            _stage_one(),
+            num_steps=1800,
+            num_rays=512,
+            rates=Rates(grid=1.2e-2, network=3e-3),
+            warmup_steps=120,
+            normal_rays=1.0,
+            shape_prior=_shape_prior(emptiness_weight=0.01),
+        ),
+        stage_two=_fast_stage_two(),
+        evaluation=EvaluationConfig(num_views=4, num_repeats=1, antialias=2, uncertainty_points=300),
+        export=ExportConfig(judge_samples=16),
+        checkpoint_steps=100_000,
+        checkpoint_interval_s=30.0,
+    )
+
+
+def _fast_model() -> ModelConfig:
+    """Return networks and grids that two CPU cores train in minutes."""
     nerf = NerfCacheConfig(
         proposals=(
             DensityConfig(grid=_grid(128, 6, 1, 15), width=32, num_layers=1),
@@ -119,7 +145,7 @@ def fast() -> Config:
         secondary_sure_opacity=0.02,
         least_weight=1e-3,
     )
-    model = ModelConfig(
+    return ModelConfig(
         nerf=nerf,
         fast=FastCacheConfig(
             distance_grid=_grid(64, 4, 4, 15),
@@ -140,64 +166,47 @@ def fast() -> Config:
         light_sampler=LightSamplerConfig(grid=_grid(32, 2, 2, 15), width=32, num_lobes=16),
         occupancy=OccupancyConfig(cells=64),
     )
-    return Config(
-        preset="fast",
-        polish="on",
-        max_side=128,
-        crop="object",
-        model=model,
-        pixels=PixelChoice(clipped="at_least"),
-        stage_one=replace(
-            _stage_one(),
-            num_steps=1800,
-            num_rays=512,
-            rates=Rates(grid=1.2e-2, network=3e-3),
-            warmup_steps=120,
-            normal_rays=1.0,
-            shape_prior=_shape_prior(emptiness_weight=0.01),
+
+
+def _fast_stage_two() -> StageTwoConfig:
+    """Return stage two with few rays, and with the priors that make up for them."""
+    return StageTwoConfig(
+        num_steps=700,
+        num_rays=256,
+        warmup_steps=120,
+        estimator=EstimatorConfig(
+            fast=DirectionCounts(cosine=5, sampler=3, specular=8),
+            exact=DirectionCounts(cosine=2, sampler=1, specular=1),
+            stratified=True,
         ),
-        stage_two=StageTwoConfig(
-            num_steps=700,
-            num_rays=256,
-            warmup_steps=120,
-            estimator=EstimatorConfig(
-                fast=DirectionCounts(cosine=5, sampler=3, specular=8),
-                exact=DirectionCounts(cosine=2, sampler=1, specular=1),
-                stratified=True,
-            ),
-            symmetric=True,
-            material_rates=Rates(grid=5e-3, network=1.5e-3),
-            gloss_rates=Rates(grid=2e-2, network=2e-3),
-            gloss_from=0.35,
-            cache_rates=Rates(grid=5e-4, network=1e-4),
-            fast_rates=Rates(grid=1e-2, network=2e-3),
-            environment_rate=3e-3,
-            final_rate=0.1,
-            decay_from=0.3,
-            physical_weight=1.0,
-            mask_weight=0.0,
-            normal_weight=0.15,
-            normal_every=2,
-            normal_rays=0.25,
-            random_background=True,
-            smoothness_weight=0.0,
-            clusters=ClusterConfig(weight=0.004, gloss=0.0, gloss_weight=0.04, gloss_distance=0.1),
-            grey_weight=0.015,
-            tint_weight=0.1,
-            metalness_prior=MetalnessPriorConfig(
-                warmup_weight=1.0,
-                weight=0.3,
-                num_directions=8,
-                range=(0.03, 1.0),
-                perceptual_roughness=(0.52, 0.25),
-            ),
-            proposal_exponent=1.0,
-            distil=DistilConfig(num_steps=300),
+        symmetric=True,
+        material_rates=Rates(grid=5e-3, network=1.5e-3),
+        gloss_rates=Rates(grid=2e-2, network=2e-3),
+        gloss_from=0.35,
+        cache_rates=Rates(grid=5e-4, network=1e-4),
+        fast_rates=Rates(grid=1e-2, network=2e-3),
+        environment_rate=3e-3,
+        final_rate=0.1,
+        decay_from=0.3,
+        physical_weight=1.0,
+        mask_weight=0.0,
+        normal_weight=0.15,
+        normal_every=2,
+        normal_rays=0.25,
+        random_background=True,
+        smoothness_weight=0.0,
+        clusters=ClusterConfig(weight=0.004, gloss=0.0, gloss_weight=0.04, gloss_distance=0.1),
+        grey_weight=0.015,
+        tint_weight=0.1,
+        metalness_prior=MetalnessPriorConfig(
+            warmup_weight=1.0,
+            weight=0.3,
+            num_directions=8,
+            range=(0.03, 1.0),
+            perceptual_roughness=(0.52, 0.25),
         ),
-        evaluation=EvaluationConfig(num_views=4, num_repeats=1, antialias=2, uncertainty_points=300),
-        export=ExportConfig(judge_samples=16),
-        checkpoint_steps=100_000,
-        checkpoint_interval_s=30.0,
+        proposal_exponent=1.0,
+        distil=DistilConfig(num_steps=300),
     )
 
 
@@ -226,49 +235,12 @@ def quick() -> Config:
 def tiny() -> Config:
     """Return the complete method in less than a minute, for tests; its pictures are rough."""
     base = fast()
-    nerf = replace(
-        base.model.nerf,
-        proposals=(
-            DensityConfig(grid=_grid(64, 3, 1, 14), width=16, num_layers=1),
-            DensityConfig(grid=_grid(96, 4, 1, 14), width=16, num_layers=1),
-        ),
-        density=DensityConfig(grid=_grid(96, 4, 2, 15), width=32, num_layers=1),
-        normals=NormalConfig(own_grid=_grid(64, 3, 2, 14), width=32),
-        appearance=replace(
-            base.model.nerf.appearance,
-            grid=_grid(96, 4, 2, 15),
-            bottleneck=16,
-            factor_width=16,
-            reflection_width=32,
-        ),
-        primary_counts=SampleCounts(first=24, second=16, final=12),
-    )
-    model = replace(
-        base.model,
-        nerf=nerf,
-        fast=replace(
-            base.model.fast,
-            distance_grid=_grid(32, 2, 2, 14),
-            feature_grid=_grid(64, 3, 2, 15, half_extent=2.0),
-            distance_width=32,
-            distance_layers=2,
-        ),
-        environment=EnvironmentConfig(width=32, num_layers=2, last_width=32),
-        materials=replace(
-            base.model.materials,
-            grid=_grid(96, 4, 2, 15),
-            gloss_grid=_gloss_grid(_grid(96, 4, 2, 15), finest=16),
-            width=32,
-        ),
-        light_sampler=LightSamplerConfig(grid=_grid(32, 2, 2, 14), width=16, num_lobes=8),
-        occupancy=OccupancyConfig(cells=32),
-    )
     return replace(
         base,
         preset="tiny",
         polish="off",
         max_side=64,
-        model=model,
+        model=_tiny_model(base.model),
         stage_one=replace(
             base.stage_one,
             num_steps=350,
@@ -302,6 +274,47 @@ def tiny() -> Config:
             environment_height=32,
         ),
         checkpoint_steps=50,
+    )
+
+
+def _tiny_model(base: ModelConfig) -> ModelConfig:
+    """Return the networks and grids of `base`, made as small as tests need them."""
+    nerf = replace(
+        base.nerf,
+        proposals=(
+            DensityConfig(grid=_grid(64, 3, 1, 14), width=16, num_layers=1),
+            DensityConfig(grid=_grid(96, 4, 1, 14), width=16, num_layers=1),
+        ),
+        density=DensityConfig(grid=_grid(96, 4, 2, 15), width=32, num_layers=1),
+        normals=NormalConfig(own_grid=_grid(64, 3, 2, 14), width=32),
+        appearance=replace(
+            base.nerf.appearance,
+            grid=_grid(96, 4, 2, 15),
+            bottleneck=16,
+            factor_width=16,
+            reflection_width=32,
+        ),
+        primary_counts=SampleCounts(first=24, second=16, final=12),
+    )
+    return replace(
+        base,
+        nerf=nerf,
+        fast=replace(
+            base.fast,
+            distance_grid=_grid(32, 2, 2, 14),
+            feature_grid=_grid(64, 3, 2, 15, half_extent=2.0),
+            distance_width=32,
+            distance_layers=2,
+        ),
+        environment=EnvironmentConfig(width=32, num_layers=2, last_width=32),
+        materials=replace(
+            base.materials,
+            grid=_grid(96, 4, 2, 15),
+            gloss_grid=_gloss_grid(_grid(96, 4, 2, 15), finest=16),
+            width=32,
+        ),
+        light_sampler=LightSamplerConfig(grid=_grid(32, 2, 2, 14), width=16, num_lobes=8),
+        occupancy=OccupancyConfig(cells=32),
     )
 
 

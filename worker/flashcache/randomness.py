@@ -1,4 +1,4 @@
-"""Where random numbers come from: counted streams, never global state.
+"""Random numbers from counted streams, never from global state.
 
 Numbers of the rows of a batch are drawn by `uniform`, `normal` and `integers`: where ranks divide a batch
 (`flashcache.parallel.ranks`), each draws those of the whole batch and keeps its own, so that every row has

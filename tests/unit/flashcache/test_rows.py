@@ -182,7 +182,7 @@ def test_gradients_of_stage_one_are_those_of_picked_rows(cells, share):
 
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS)
 def test_gradients_of_stage_two_are_those_of_picked_rows(settings):
-    """Where all points of secondary rays are asked: drawing some takes numbers by the ray."""
+    """Where all points of secondary rays answer: drawing some takes numbers by the ray."""
     settings = settings | {"secondary_jitter": False}
     one, other = (gradients(stage_two(fixed, colours=0, **settings)) for fixed in (False, True))
     assert any(bool(gradient.any()) for gradient in one.values())

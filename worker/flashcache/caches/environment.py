@@ -118,8 +118,8 @@ class Environment(nn.Module):
 
     def _load_from_state_dict(self, state_dict: dict, prefix: str, *arguments: Any) -> None:
         # Whether there is a texture is the state's to say: training ends without one, a polish with one.
-        found = state_dict.get(f"{prefix}texture")
-        self.texture = None if found is None else torch.empty_like(found, device=self.angles.device)
+        stored = state_dict.get(f"{prefix}texture")
+        self.texture = None if stored is None else torch.empty_like(stored, device=self.angles.device)
         super()._load_from_state_dict(state_dict, prefix, *arguments)
 
     def forward(

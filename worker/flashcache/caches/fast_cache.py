@@ -63,21 +63,20 @@ class FastCache(nn.Module):
         config: FastCacheConfig,
         contraction_radius: float,
         num_lights: int,
-        near: float,
-        far: float,
+        ends: tuple[float, float],
         *,
         position_frequencies: int | None = None,
         origin_frequencies: int | None = None,
         colour_bias: float = -2.0,
         turns: LightTurns | None = None,
     ) -> None:
-        """With `turns` radiance depends on the turn of the light; opacity and distance never do.
+        """`ends` are the near and the far distance of rays, scene units.
 
-        The three before are for the copy inside the NeRF cache's appearance (supplement 2.2).
-
-        `position_frequencies` replaces `config.num_frequencies` for the origin in the distance network,
-        `origin_frequencies` lets the decoder see the encoded origin (not at all by default), and
-        `colour_bias` is added to the raw colour.
+        With `turns` radiance depends on the turn of the light; opacity and distance never do. The three
+        before are for the copy inside the NeRF cache's appearance (supplement 2.2): `position_frequencies`
+        replaces `config.num_frequencies` for the origin in the distance network, `origin_frequencies` lets
+        the decoder see the encoded origin (not at all by default), and `colour_bias` is added to the raw
+        colour.
         """
         super().__init__()
         self.config = config
@@ -89,7 +88,7 @@ class FastCache(nn.Module):
         self.turns = turns
         self.contraction_radius = contraction_radius
         self.num_lights = num_lights
-        self.near, self.far = near, far
+        self.near, self.far = ends
         self.distance_grid = HashGrid(config.distance_grid)
         self.code = Hidden(self.distance_grid.out_features, config.code_width, config.code_layers)
         num_encoded = 6 + 6 * (config.num_frequencies + self.position_frequencies)

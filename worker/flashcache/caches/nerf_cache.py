@@ -159,7 +159,7 @@ class NerfCache(nn.Module):
                 config.reflected,
                 contraction_radius,
                 num_lights,
-                *secondary,
+                secondary,
                 position_frequencies=4,
                 origin_frequencies=4,
                 colour_bias=-1.0,

@@ -98,11 +98,11 @@ def rotations_of(lights: Sequence[str], config: EnvironmentConfig) -> tuple[floa
                 f"{len(lights)} lights ({', '.join(lights)}); give one per light, in their order"
             )
         return config.rotations_deg
-    found = {light: _DEGREES.search(light) for light in lights}
-    missing = [light for light, match in found.items() if match is None]
+    matches = {light: _DEGREES.search(light) for light in lights}
+    missing = [light for light, match in matches.items() if match is None]
     if missing:
         raise ConfigError(
             f"rotated lights: {', '.join(missing)} has no angle in its name (as sunset_120 has); set "
             "model.environment.rotations_deg, one angle per light"
         )
-    return tuple(float(match[1]) for match in found.values() if match is not None)
+    return tuple(float(match[1]) for match in matches.values() if match is not None)

@@ -1,4 +1,4 @@
-"""The turns of a light that does not stand still with the object, and how networks are told of them.
+"""The turns of a light that does not stand still with the object, and the numbers that tell networks of them.
 
 A turn is the rotation from world directions at one photograph to the frame in which the light stands still;
 light number 0 is the turn of the reference, the identity.

@@ -108,26 +108,26 @@ class MaterialUncertainty:
     perceptual_roughness: Float[Tensor, " points"]
 
 
-def light_covariance(found: Elimination, priors: Priors) -> Float[Tensor, "patches patches"]:
+def light_covariance(eliminated: Elimination, priors: Priors) -> Float[Tensor, "patches patches"]:
     """Return the posterior covariance of the light, given all points."""
-    share = min(1.0, priors.independent_points / max(float(found.observed.sum()), 1.0))
-    known = torch.eye(found.gain.shape[-1], dtype=found.gain.dtype, device=found.gain.device)
-    return torch.linalg.inv(known / priors.log_light**2 + share * found.information)
+    share = min(1.0, priors.independent_points / max(float(eliminated.observed.sum()), 1.0))
+    known = torch.eye(eliminated.gain.shape[-1], dtype=eliminated.gain.dtype, device=eliminated.gain.device)
+    return torch.linalg.inv(known / priors.log_light**2 + share * eliminated.information)
 
 
-def material_uncertainty(found: Elimination, priors: Priors) -> MaterialUncertainty:
+def material_uncertainty(eliminated: Elimination, priors: Priors) -> MaterialUncertainty:
     """Return the posterior of all points together.
 
     A factor on all albedo with its inverse on the light changes no photograph and is removed in every
     evaluation; so is the mean over the observed points of what the light does to albedo.
     """
-    light = light_covariance(found, priors)
-    gain = found.gain.clone()
-    seen = found.observed[:, None, None]
+    light = light_covariance(eliminated, priors)
+    gain = eliminated.gain.clone()
+    seen = eliminated.observed[:, None, None]
     common = (seen * gain[:, :3]).sum(dim=0) / seen.sum().clamp_min(1.0)
     gain[:, :3] -= seen * common
     from_light = ((gain @ light) * gain).sum(dim=-1).clamp_min(0.0)
-    from_noise = found.inverse.diagonal(dim1=1, dim2=2)
+    from_noise = eliminated.inverse.diagonal(dim1=1, dim2=2)
     total = (from_noise + from_light).sqrt().float()
     return MaterialUncertainty(
         albedo=total[:, :3],

@@ -106,5 +106,5 @@ def cache_picture(
     """Return the NeRF cache's radiance along rays, premultiplied over black, and their opacity."""
     geometry = model.nerf.trace(rays, generator=None)
     index = torch.full((len(rays),), light, device=rays.origins.device)
-    found = model.nerf.outgoing(geometry, rays.directions, index)
-    return composite(geometry.weights, found.radiance), geometry.opacity
+    appearance = model.nerf.outgoing(geometry, rays.directions, index)
+    return composite(geometry.weights, appearance.radiance), geometry.opacity

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from flashcache.evaluation.monte_carlo import RenderRule
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, relight
-from flashcache.physical.incident import EnvironmentSource, Incident, RadianceSource, SecondaryRays
+from flashcache.physical.incident import Incident, LightSources, RadianceSource, SecondaryRays
 from flashcache.physical.model import InverseModel
 from flashcache.physical.sampling import EnvironmentMapSampler, Strategy
 from flashcache.physical.shading import ShadingPoints
@@ -53,15 +53,13 @@ def lit_radiance(
         light = model.light_sampler(points.positions, points.light_index)
     nerf, fast = model.nerf_source(generator), model.fast_source()
 
-    def shaded(source: RadianceSource, environment: EnvironmentSource, counts: DirectionCounts) -> Tensor:
+    def shaded(source: RadianceSource, counts: DirectionCounts) -> Tensor:
         return relight(
             points,
             materials,
-            source=source,
-            environment=environment,
+            LightSources(source, model.environment, model.limits),
             light=light,
             counts=counts,
-            limits=model.limits,
             config=_ESTIMATOR,
             generator=generator,
             continued=True,
@@ -74,8 +72,8 @@ def lit_radiance(
         return Incident(near, 1.0 + exact.opacity - known.opacity, exact.distance)
 
     if rule.control_variate == "off":
-        return shaded(nerf, model.environment, CORRECTION_COUNTS)
-    found = shaded(fast, model.environment, lighting_counts(num_directions))
+        return shaded(nerf, CORRECTION_COUNTS)
+    radiance = shaded(fast, lighting_counts(num_directions))
     if rule.control_variate == "on":
-        found = found + shaded(difference, model.environment, CORRECTION_COUNTS)
-    return found
+        radiance = radiance + shaded(difference, CORRECTION_COUNTS)
+    return radiance

@@ -103,7 +103,7 @@ class Lpips(nn.Module):
         return float(self(*pair)[0])
 
     def _features(self, picture: Tensor) -> list[Tensor]:
-        found = []
+        features = []
         values = (2.0 * picture - 1.0 - self.shift) / self.scale
         pools = iter((*self.backbone.pools, -1))
         pool = next(pools)
@@ -116,8 +116,8 @@ class Lpips(nn.Module):
                 values, self.kernels[number], self.biases[number], stride=stride, padding=padding
             ).relu()
             if number in self.backbone.taps:
-                found.append(values)
-        return found
+                features.append(values)
+        return features
 
     def _check_size(self, values: Tensor, picture: Tensor) -> None:
         if min(values.shape[-2:]) < self.backbone.pool_size:
@@ -167,8 +167,8 @@ def _read(path: Path) -> Mapping[str, Tensor]:
     try:
         if path.suffix == ".safetensors":
             return load_file(path)
-        found = torch.load(path, map_location="cpu", weights_only=True)
-    # torch.load raises whatever its unpickler meets; all of it means that the file is no plain tensors.
+        stored = torch.load(path, map_location="cpu", weights_only=True)
+    # torch.load raises whatever its unpickler meets: the file holds more than plain tensors.
     except (OSError, SafetensorError) as error:
         raise ConfigError(f'LPIPS weights "{path}" cannot be read: {error}') from error
     except Exception as error:
@@ -176,9 +176,9 @@ def _read(path: Path) -> Mapping[str, Tensor]:
             f'LPIPS weights "{path}" are not plain tensors; convert them to safetensors, or save the state '
             "dictionary alone"
         ) from error
-    if not isinstance(found, Mapping) or not all(isinstance(value, Tensor) for value in found.values()):
+    if not isinstance(stored, Mapping) or not all(isinstance(value, Tensor) for value in stored.values()):
         raise ConfigError(f'LPIPS weights "{path}" must be a mapping of names to tensors')
-    return found
+    return stored
 
 
 def _plain_name(name: str) -> str | None:

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 from lambent_core.scene import Camera
-from numpy import ndarray
 from torch import Tensor
 
 from flashcache.errors import ConfigError
 from flashcache.evaluation.gbuffer import CHUNK_RAYS, OPACITY_FLOOR, camera_rays
+from flashcache.evaluation.supersampling import Picture, PictureSamples, finer, mean_picture
 from flashcache.evaluation.threads import on_all_cores
 from flashcache.geometry.rays import Rays
 from flashcache.physical.model import InverseModel
@@ -41,16 +41,6 @@ class RenderRule:
     def shadow_cache(self) -> Literal["fast", "nerf"]:
         """Return the cache that answers secondary rays under a new light."""
         return "nerf" if self.control_variate == "off" else self.shadows
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """A Monte Carlo picture with its noise."""
-
-    rgb: Float32[ndarray, "height width 3"]
-    standard_error: Float32[ndarray, "height width 3"]
-    """Of `rgb`, linear radiance, from the spread of the estimates; see `variance_of_mean`."""
-    opacity: Float32[ndarray, "height width 1"]
 
 
 Shade = Callable[[ShadingPoints, torch.Generator], Tensor]
@@ -99,30 +89,28 @@ def monte_carlo(
     model: InverseModel,
     camera: Camera,
     shade: Shade,
+    samples: PictureSamples,
     *,
-    num_repeats: int,
-    points_per_ray: int,
     light: int,
     seed: int,
     purpose: str,
     points: Literal["categorical", "depth"] = "categorical",
-    block: int = 1,
 ) -> Picture:
-    """Return the mean of `shade` over points drawn along every ray, with its standard error.
-
-    Rays are shaded in blocks of `block` x `block`, so that those of one pixel are neighbours in a batch.
-    """
-    if num_repeats < 1 or points_per_ray < 1:
+    """Return the mean of `shade` over points drawn along the rays of every pixel, with its standard error."""
+    points_per_ray = samples.points_per_ray
+    if samples.num_repeats < 1:
         raise ConfigError(
             f"a picture needs at least one repeat and one point per ray, "
-            f"got {num_repeats} and {points_per_ray}"
+            f"got {samples.num_repeats} and {points_per_ray}"
         )
+    camera = finer(camera, samples.antialias)
     device = next(model.parameters()).device
     rays = camera_rays(model, camera, device)
     colour = torch.zeros(len(rays), 3, device=device)
     error = torch.zeros(len(rays), 3, device=device)
     opacity = torch.zeros(len(rays), 1, device=device)
-    order = _by_blocks(camera, block, device)
+    # In blocks, so that the rays of one pixel are neighbours in a batch and avoid each other's directions.
+    order = _by_blocks(camera, samples.antialias, device)
     hits = order[(rays.far > rays.near)[order]]
 
     def fill(part: tuple[int, Tensor]) -> None:
@@ -138,7 +126,7 @@ def monte_carlo(
         first_sample = weights.shape[-1] * seen.nonzero()
         positions = geometry.samples.positions.reshape(-1, 3)
         spread: Spread | None = None
-        for _ in range(num_repeats):
+        for _ in range(samples.num_repeats):
             index = _drawn(weights, points_per_ray, points, generator) + first_sample
             shading = _shading_points(rays, pixels, index, positions, geometry.normal, light)
             values = shade(shading, generator).reshape(len(pixels), points_per_ray, 3)
@@ -153,7 +141,7 @@ def monte_carlo(
     on_all_cores(fill, enumerate(hits.split(CHUNK_RAYS) if len(hits) else ()), device)
     shape = (camera.height, camera.width, -1)
     to_numpy = [values.reshape(shape).cpu().numpy() for values in (colour, error, opacity)]
-    return Picture(*to_numpy)
+    return mean_picture(Picture(*to_numpy), samples.antialias)
 
 
 def _by_blocks(camera: Camera, block: int, device: torch.device) -> Tensor:

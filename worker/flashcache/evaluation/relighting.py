@@ -1,16 +1,22 @@
 """Radiance of surface points under an environment they were never photographed in."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 from torch import Tensor
 
+from flashcache.fields.materials import scaled
 from flashcache.geometry.directions import facing, look_up
-from flashcache.physical.brdf import Materials
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, relight
-from flashcache.physical.incident import Incident, RadianceSource, SecondaryRays, visibility_only
+from flashcache.physical.incident import (
+    Incident,
+    LightSources,
+    RadianceSource,
+    SecondaryRays,
+    visibility_only,
+)
 from flashcache.physical.model import InverseModel
 from flashcache.physical.sampling import EnvironmentMapSampler
 from flashcache.physical.shading import ShadingPoints
@@ -39,11 +45,6 @@ class MapLight:
         return look_up(self.image[None], directions, torch.zeros_like(light_index))
 
 
-def scaled(materials: Materials, ratio: Float[Tensor, "3"]) -> Materials:
-    """Return the materials with their albedo multiplied by `ratio` per channel and kept in [0, 1]."""
-    return Materials((materials.albedo * ratio).clamp(0.0, 1.0), materials.alpha, materials.metalness)
-
-
 def relighting_counts(total: int) -> DirectionCounts:
     """Return a point's directions: a quarter cosine, a quarter GGX, the rest in proportion to the map.
 
@@ -63,16 +64,15 @@ def relit_radiance(
     num_directions: int,
     indirect: bool,
     generator: torch.Generator,
-    materials: Materials | None = None,
 ) -> Float[Tensor, "points 3"]:
     """Return radiance towards the viewer under `light`, with the shadows of `cache`.
 
-    `materials` are those of `points`, the model's by default; what secondary rays hit has the model's.
     With `indirect`, a secondary ray that is blocked (decided at random with its opacity, which keeps the
     mean) finds the radiance of the point it hits: direct light under the same environment, with that
     point's material.
     """
     config = EstimatorConfig(stratified=True)
+    direct = LightSources(visibility_only(cache), light, model.limits)
 
     def near_field(rays: SecondaryRays) -> Incident:
         answer = cache(rays)
@@ -90,25 +90,19 @@ def relit_radiance(
         return relight(
             ShadingPoints(positions, normal, omega_o, light_index),
             scaled(model.materials(positions), ratio),
-            source=visibility_only(cache),
-            environment=light,
+            direct,
             light=light.sampler,
             counts=BOUNCE_COUNTS,
-            limits=model.limits,
             config=config,
             generator=generator,
         ).rgb
 
-    if materials is None:
-        materials = model.materials(points.positions)
     return relight(
         points,
-        scaled(materials, ratio),
-        source=near_field if indirect else visibility_only(cache),
-        environment=light,
+        scaled(model.materials(points.positions), ratio),
+        replace(direct, near=near_field) if indirect else direct,
         light=light.sampler,
         counts=relighting_counts(num_directions),
-        limits=model.limits,
         config=config,
         generator=generator,
         continued=True,

@@ -4,6 +4,8 @@ A photograph's pixel is a mean over its area. One ray through its centre sees on
 mixes two, and a point of a texture where it has an average.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float32
 from lambent_core.scene import Camera
@@ -11,16 +13,47 @@ from numpy import ndarray
 
 from flashcache.errors import ConfigError
 from flashcache.evaluation.gbuffer import OPACITY_FLOOR, GBuffer
-from flashcache.evaluation.monte_carlo import Picture
 
 POINTS_PER_PIXEL = 4
 """Points that a picture without supersampling shades per pixel and repeat."""
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PictureSamples:
+    """The samples of which a pixel is the mean."""
+
+    num_directions: int = 64
+    """Secondary rays per pixel and repeat, shared by its points; each point has four at least."""
+    num_repeats: int = 1
+    """Times that points are drawn anew."""
+    antialias: int = 1
+    """Camera rays along each side of a pixel."""
+
+    @property
+    def points_per_ray(self) -> int:
+        """Return how many points each camera ray shades per repeat."""
+        return points_per_ray(self.antialias)
+
+    @property
+    def directions_per_point(self) -> int:
+        """Return the number of secondary rays of a point."""
+        return max(4, self.num_directions // (self.points_per_ray * self.antialias**2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A Monte Carlo picture with its noise."""
+
+    rgb: Float32[ndarray, "height width 3"]
+    standard_error: Float32[ndarray, "height width 3"]
+    """Of `rgb`, linear radiance, from the spread of the estimates; see `variance_of_mean`."""
+    opacity: Float32[ndarray, "height width 1"]
+
+
 def finer(camera: Camera, antialias: int) -> Camera:
     """Return the camera with `antialias` x `antialias` pixels for every one of `camera`.
 
-    Raises `ConfigError` where that is no whole number of rays.
+    Raises `ConfigError` for less than one ray along a side.
     """
     if antialias < 1:
         raise ConfigError(f"antialias must be at least 1 ray along a pixel's side, got {antialias}")

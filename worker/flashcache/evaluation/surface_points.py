@@ -83,8 +83,8 @@ def photographed_points(
             continue
         # Most pixels miss the object: several times as many rays as points, then as many as were wanted.
         index = torch.randint(len(rays), (8 * count // len(cameras) + 1,), generator=generator, device=device)
-        found = first_hits(model, rays.select(index))
-        parts.append(_some(found, count // len(cameras) + 1, generator))
+        hits = first_hits(model, rays.select(index))
+        parts.append(_some(hits, count // len(cameras) + 1, generator))
     return _some(join(parts), count, generator) if parts else _nothing(device)
 
 
@@ -126,7 +126,7 @@ def seen_points(
 ) -> tuple[SeenPoints, Float[Tensor, " points"]]:
     """Return the points with a few of the photographs that see each, and how many photographs do.
 
-    A photograph is one camera under one light. `source` tells what stands between.
+    A photograph is one camera under one light. `source` tells what hides them.
     """
     device = points.positions.device
     eyes = torch.from_numpy(np.stack([view.camera.position for view in scene.train])).float().to(device)
@@ -147,14 +147,14 @@ def seen_points(
     chosen = order.topk(min(MAX_VIEWS, len(pairs)), dim=1).indices
     kept = share.gather(1, chosen)
     scale = total / kept.sum(dim=1).clamp_min(1e-6)
-    found = SeenPoints(
+    seen = SeenPoints(
         positions=points.positions,
         normal=points.normal,
         omega_o=normalize(eyes[camera_of[chosen]] - points.positions[:, None]),
         light_index=light_of[chosen],
         visibility=kept * scale[:, None],
     )
-    return found, total
+    return seen, total
 
 
 @torch.no_grad()
@@ -168,7 +168,7 @@ def _visibility(
     omega_o = normalize(like.new_tensor(camera.position) - like)
     facing = (points.normal * omega_o).sum(dim=-1)
     index = (inside & (facing > GRAZING)).nonzero()[:, 0]
-    found = torch.zeros_like(depth)
+    visible = torch.zeros_like(depth)
     for part in index.split(MAX_CHUNK_RAYS):
         limits = model.limits
         rays = SecondaryRays(
@@ -178,8 +178,8 @@ def _visibility(
             far=limits.far,
             light_index=torch.zeros_like(part),
         )
-        found[part] = (1.0 - source(rays).opacity).clamp(0.0, 1.0)
-    return found
+        visible[part] = (1.0 - source(rays).opacity).clamp(0.0, 1.0)
+    return visible
 
 
 def _some(points: SurfacePoints, count: int, generator: torch.Generator) -> SurfacePoints:

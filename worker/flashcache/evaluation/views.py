@@ -11,16 +11,16 @@ from torch import Tensor
 
 from flashcache.evaluation.gbuffer import GBuffer, camera_rays, render_gbuffer
 from flashcache.evaluation.lighting import lit_radiance, sky_sampler
-from flashcache.evaluation.monte_carlo import Picture, RenderRule, monte_carlo
+from flashcache.evaluation.monte_carlo import RenderRule, monte_carlo
 from flashcache.evaluation.relighting import MapLight, relit_radiance
-from flashcache.evaluation.supersampling import finer, mean_gbuffer, mean_picture
-from flashcache.evaluation.supersampling import points_per_ray as default_points
+from flashcache.evaluation.supersampling import Picture, PictureSamples, finer, mean_gbuffer
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import ShadingPoints
 
 __all__ = [
     "GBuffer",
     "Picture",
+    "PictureSamples",
     "RenderRule",
     "camera_rays",
     "render_gbuffer",
@@ -28,7 +28,7 @@ __all__ = [
     "render_relit",
     "render_surface",
 ]
-RULE = RenderRule()
+RULE, SAMPLES = RenderRule(), PictureSamples()
 
 
 def render_surface(model: InverseModel, camera: Camera, *, light: int = 0, antialias: int = 1) -> GBuffer:
@@ -40,43 +40,28 @@ def render_surface(model: InverseModel, camera: Camera, *, light: int = 0, antia
 def render_physical(
     model: InverseModel,
     camera: Camera,
+    samples: PictureSamples = SAMPLES,
     *,
-    num_directions: int = 64,
-    num_repeats: int = 1,
-    points_per_ray: int = 0,
-    antialias: int = 1,
     light: int = 0,
     seed: int = 0,
     rule: RenderRule = RULE,
 ) -> Picture:
     """Return the physically based picture under a training light.
 
-    A pixel has `antialias` x `antialias` rays. Every repeat shades `points_per_ray` points of each, drawn
-    anew (0: four per pixel, but two per ray at least), and spreads `num_directions` secondary rays per pixel
-    of the fast estimate over them, four per point at least, with four more per point for the correction
-    (supplement 2.5). A rule without control variate leaves those four, to the NeRF cache alone. Unlike in
-    training, both lobes share all directions (`relight`), and half of these are drawn from the environment.
+    Every repeat spreads the directions of a pixel, those of the fast estimate, over its points, with four
+    more per point for the correction (supplement 2.5). A rule without control variate leaves those four, to
+    the NeRF cache alone. Unlike in training, both lobes share all directions (`relight`), and half of these
+    are drawn from the environment.
     """
-    points_per_ray = points_per_ray or default_points(antialias)
-    per_point = max(4, num_directions // (points_per_ray * antialias**2))
     sky = sky_sampler(model, light) if rule.sampler == "vmf" else None
 
     def shade(points: ShadingPoints, generator: torch.Generator) -> Tensor:
-        return lit_radiance(model, points, num_directions=per_point, rule=rule, generator=generator, sky=sky)
+        count = samples.directions_per_point
+        return lit_radiance(model, points, num_directions=count, rule=rule, generator=generator, sky=sky)
 
-    picture = monte_carlo(
-        model,
-        finer(camera, antialias),
-        shade,
-        num_repeats=num_repeats,
-        points_per_ray=points_per_ray,
-        light=light,
-        seed=seed,
-        purpose="physical",
-        points=rule.points,
-        block=antialias,
+    return monte_carlo(
+        model, camera, shade, samples, light=light, seed=seed, purpose="physical", points=rule.points
     )
-    return mean_picture(picture, antialias)
 
 
 @torch.no_grad()
@@ -84,12 +69,9 @@ def render_relit(
     model: InverseModel,
     camera: Camera,
     environment_map: Float32[ndarray, "rows columns 3"],
+    samples: PictureSamples = SAMPLES,
     *,
     albedo_ratio: tuple[float, float, float] = (1.0, 1.0, 1.0),
-    num_directions: int = 64,
-    num_repeats: int = 1,
-    points_per_ray: int = 0,
-    antialias: int = 1,
     indirect: bool = True,
     seed: int = 0,
     rule: RenderRule = RULE,
@@ -98,13 +80,11 @@ def render_relit(
 
     Direct light with learned shadows as in the paper's relighting, and with `indirect` one bounce: what
     secondary rays hit is shaded under the new environment with its own materials. `albedo_ratio` multiplies
-    the albedo. Rays and points of a pixel as in `render_physical`.
+    the albedo.
     """
     device = next(model.parameters()).device
     light_map = MapLight.from_image(environment_map, device)
     ratio = torch.tensor(albedo_ratio, dtype=torch.float32, device=device)
-    points_per_ray = points_per_ray or default_points(antialias)
-    per_point = max(4, num_directions // (points_per_ray * antialias**2))
 
     def shade(points: ShadingPoints, generator: torch.Generator) -> Tensor:
         cache = model.fast_source() if rule.shadow_cache == "fast" else model.nerf_source(generator)
@@ -114,21 +94,9 @@ def render_relit(
             light_map,
             ratio,
             cache=cache,
-            num_directions=per_point,
+            num_directions=samples.directions_per_point,
             indirect=indirect,
             generator=generator,
         )
 
-    picture = monte_carlo(
-        model,
-        finer(camera, antialias),
-        shade,
-        num_repeats=num_repeats,
-        points_per_ray=points_per_ray,
-        light=0,
-        seed=seed,
-        purpose="relit",
-        points=rule.points,
-        block=antialias,
-    )
-    return mean_picture(picture, antialias)
+    return monte_carlo(model, camera, shade, samples, light=0, seed=seed, purpose="relit", points=rule.points)

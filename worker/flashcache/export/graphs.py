@@ -65,11 +65,11 @@ def gbuffer_graph(
     mass = graph.reduce("ReduceSum", graph.reshape(weight, -1, groups, group), keep=False)
     moment = graph.reduce("ReduceSum", graph.reshape(weight * inside, -1, groups, group), keep=False)
     middles = _points_at(graph, entry, direction, moment / graph.at_least(mass, 1e-6))
-    found = _surface(graph, model, middles)
+    properties = _surface(graph, model, middles)
     mass_column = graph.unsqueeze(mass, 2)
 
     def mean(name: str, size: int) -> Value:
-        values = graph.reshape(found[name], -1, groups, size)
+        values = graph.reshape(properties[name], -1, groups, size)
         return graph.reduce("ReduceSum", mass_column * values, axis=1, keep=False)
 
     upright = graph.node("Relu", UPRIGHT_OPACITY - opacity) * np.array([[0.0, 0.0, 1.0]], np.float32)
@@ -87,10 +87,10 @@ def gbuffer_graph(
 def material_graph(model: InverseModel, weights: WeightFile, metadata: Metadata) -> onnx.ModelProto:
     """Return the graph: position -> surface properties."""
     graph = GraphBuilder("material", "point", weights)
-    found = _surface(graph, model, graph.input("position", 3))
-    opacity = _hidden_share(graph, found.pop("density") * SURFACE_THICKNESS)
+    properties = _surface(graph, model, graph.input("position", 3))
+    opacity = _hidden_share(graph, properties.pop("density") * SURFACE_THICKNESS)
     sizes = {"albedo": 3, "normal": 3, "perceptual_roughness": 1, "metalness": 1}
-    outputs = {name: (value, sizes[name]) for name, value in found.items()}
+    outputs = {name: (value, sizes[name]) for name, value in properties.items()}
     outputs["opacity"] = (opacity, 1)
     return documented(graph.finish(outputs, {**material_constants(model), **metadata}), "material")
 

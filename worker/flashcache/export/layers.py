@@ -129,7 +129,7 @@ def hash_grid(graph: GraphBuilder, name: str, grid: HashGrid | Occupancy | Store
     Works on all levels at once and on the 8 corners one by one. Each corner is one "Gather" of
     [row, levels, features], seen as [row, levels * features]; the positions between voxels [row, levels] are
     repeated to that width by a product with a 0/1 matrix, which is exact and faster than broadcasting along
-    the short last axis. Rows are 32-bit integers and cannot overflow (`kernels.lattice`).
+    the short last axis. Rows are 32-bit integers and cannot overflow (`kernels.layout`).
     """
     with graph.part(name):
         return _grid_features(graph, name, grid, z)
@@ -170,8 +170,8 @@ def _grid_features(
         offset = [x + y * level.multiplier_y + w * level.multiplier_z for level in levels]
         row = base + per_level(offset, np.int32) if corner else base
         row = row - (row / num_rows) * num_rows + first_row
-        found = graph.rows_of_table(f"{name}.table", table, row)
-        corners.append(graph.reshape(found, -1, len(levels) * num_features))
+        values = graph.rows_of_table(f"{name}.table", table, row)
+        corners.append(graph.reshape(values, -1, len(levels) * num_features))
     for fraction in fractions:
         corners = [a + fraction * (b - a) for a, b in zip(corners[::2], corners[1::2], strict=True)]
     return corners[0]

@@ -34,7 +34,7 @@ class WeightFile:
     """The tensors of all graphs, each once, at multiples of 256 bytes."""
 
     half_tables: bool = False
-    """Tables of feature grids are float16; graphs look rows up in them and go on in float32."""
+    """Tables of feature grids are float16; graphs look rows up in them and compute in float32."""
     tensors: dict[str, StoredTensor] = field(default_factory=dict)
     size_bytes: int = 0
 

@@ -56,7 +56,7 @@ def gbuffer(
     """Return opacity and means over the render weights along camera rays (paper Eq. 3).
 
     The stretch [a, b] of the ray inside the box starts at the ray's origin at the earliest and is empty where
-    the ray misses. Density is asked at t_k = a + s_k, s_k = (k + 1/2)/S (b - a), and gives weights w_k of
+    the ray misses. Density is looked up at t_k = a + s_k, s_k = (k + 1/2)/S (b - a), and gives weights w_k of
     intervals of equal length around t_k; opacity = sum w_k, distance = sum w_k t_k / max(opacity, 1e-3).
     A group of neighbouring places has W = sum w_k and s = sum w_k s_k / max(W, 1e-6) over its members.
     Albedo, perceptual roughness and metalness are sum W v(a + s) / max(opacity, 1e-3) over the groups. The
@@ -79,10 +79,10 @@ def gbuffer(
     mass = grouped.sum(dim=-1)
     moment = (grouped * inside.reshape(grouped.shape)).sum(dim=-1)
     middles = entry[:, None] + (moment / mass.clamp_min(1e-6))[..., None] * direction[:, None]
-    found = surface(model, middles.reshape(-1, 3))
+    properties = surface(model, middles.reshape(-1, 3))
 
     def mean(name: str) -> Tensor:
-        values = found[name].reshape(*mass.shape, -1)
+        values = properties[name].reshape(*mass.shape, -1)
         return (mass[..., None] * values).sum(dim=1)
 
     upright = (UPRIGHT_OPACITY - opacity).relu() * origin.new_tensor([0.0, 0.0, 1.0])
@@ -123,9 +123,9 @@ def surface(model: InverseModel, positions: Float[Tensor, "points 3"]) -> Output
 
 def material(model: InverseModel, position: Float[Tensor, "points 3"]) -> Outputs:
     """Return surface properties at points; opacity is that of 0.01 scene units of the matter there."""
-    found = surface(model, position)
-    found["opacity"] = -torch.expm1(-SURFACE_THICKNESS * found.pop("density"))
-    return found
+    properties = surface(model, position)
+    properties["opacity"] = -torch.expm1(-SURFACE_THICKNESS * properties.pop("density"))
+    return properties
 
 
 def fast_cache(

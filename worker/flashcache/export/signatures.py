@@ -1,4 +1,4 @@
-"""What the inputs and outputs of a bundle's graphs are, written into the graphs and into the reference.
+"""The inputs and outputs of a bundle's graphs in words, as the graphs and the reference have them.
 
 Units: positions and distances are in scene units and world coordinates (right-handed, z up); radiance is
 linear Rec. 709. Source: docs/reference/graphs.md, whose tables a test compares with these.
@@ -78,7 +78,7 @@ SIGNATURES: Mapping[str, Signature] = MappingProxyType(
         ),
     }
 )
-"""By the first part of a graph's name: a fast cache's goes on with its light."""
+"""By the first part of a graph's name: a fast cache's ends with its light."""
 
 
 def documented(model: onnx.ModelProto, kind: str) -> onnx.ModelProto:

@@ -8,9 +8,8 @@ from torch import Tensor, nn
 
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
 from flashcache.errors import ConfigError
-from flashcache.fields.mlp import linear
+from flashcache.fields.mlp import linear, scale_gradient
 from flashcache.geometry.contraction import contract
-from flashcache.gradients import scale_gradient
 
 ALPHA_MINIMUM = 1e-4
 
@@ -26,6 +25,11 @@ class Materials:
     def per_direction(self) -> "Materials":
         """Return the same with an axis of length one for the directions at a point."""
         return Materials(self.albedo.unsqueeze(-2), self.alpha.unsqueeze(-2), self.metalness.unsqueeze(-2))
+
+
+def scaled(materials: Materials, ratio: Float[Tensor, "3"]) -> Materials:
+    """Return the materials with their albedo multiplied by `ratio` per channel and kept in [0, 1]."""
+    return Materials((materials.albedo * ratio).clamp(0.0, 1.0), materials.alpha, materials.metalness)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

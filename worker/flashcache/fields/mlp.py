@@ -1,4 +1,4 @@
-"""The fully connected networks of every field."""
+"""The fully connected networks of every field, and the scaling of the gradients that reach them."""
 
 import math
 
@@ -14,6 +14,15 @@ def linear(num_inputs: int, num_outputs: int) -> nn.Linear:
     nn.init.uniform_(layer.weight, -bound, bound)
     nn.init.zeros_(layer.bias)
     return layer
+
+
+def scale_gradient(values: Tensor, factor: float) -> Tensor:
+    """Return `values` unchanged, with gradients multiplied by `factor` on the way back."""
+    if factor == 1.0 or not values.requires_grad:
+        return values
+    if factor == 0.0:
+        return values.detach()
+    return torch.lerp(values.detach(), values, factor)
 
 
 class Hidden(nn.Module):

@@ -119,8 +119,8 @@ def encode_with_jacobian(
 def answers_compiled(*tensors: Tensor) -> bool:
     """Return whether a query without gradients of these inputs and parameters is for compiled code.
 
-    So it is while no gradients are recorded, for float32 on a processor; not with fixed shapes, which are
-    there to compute what a GPU does.
+    So it is while no gradients are recorded, for float32 on a processor; not with fixed shapes, which
+    exist to compute what a GPU does.
     """
     if _CHOICE != "auto" or torch.is_grad_enabled() or shapes_are_fixed():
         return False

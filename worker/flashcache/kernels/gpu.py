@@ -1,4 +1,4 @@
-"""The kernels of `gpu_kernels` for torch tensors: the backend of float32 on a GPU of NVIDIA's.
+"""The kernels of `gpu_kernels` for torch tensors: the backend of float32 on an NVIDIA GPU.
 
 The additions to a gradient by the table come in any order, so its last digits differ from run to run.
 Everything else is the same in every run.

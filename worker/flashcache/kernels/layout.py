@@ -2,7 +2,12 @@
 
 One table of rows holds all levels after each other. A voxel (x, y, z) of a level is row
 `first_row + (x + multiplier_y y + multiplier_z z) mod num_rows`. A level with n^3 <= T voxels is dense
-(multipliers n and n^2, no two voxels share a row), a finer one is hashed into T rows (see `lattice`).
+(multipliers n and n^2, no two voxels share a row), a finer one is hashed into T rows.
+
+The voxels that share a row with voxel 0 form a lattice; the multipliers are chosen so that its shortest
+vector is as long as possible, so colliding voxels are as far from each other as T rows allow. Unlike the
+exclusive-or hash of instant NGP the formula needs neither integer overflow nor bit operations, which some
+runtimes lack.
 
 A point z in the cube [-b, b]^3 is looked up in a level of resolution n as follows, per axis:
 
@@ -17,9 +22,24 @@ axis where 0 <= u <= n - 1 holds before clamping, and zero beyond.
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 from flashcache.errors import ConfigError
-from flashcache.kernels.lattice import MAX_COORDINATE, MULTIPLIERS
+
+MAX_COORDINATE: Final = 2048
+"""Largest voxel coordinate: 2048 (1 + (T - 1) + (T - 1)) stays below 2**31 for T up to 2**19."""
+
+MULTIPLIERS: Final[dict[int, tuple[int, int]]] = {
+    12: (1099, 1191),
+    13: (1162, 4744),
+    14: (6024, 4829),
+    15: (25950, 9244),
+    16: (37642, 4945),
+    17: (53974, 15840),
+    18: (177852, 190581),
+    19: (5468, 133766),
+}
+"""log2(T) -> (b, c), found by `search` (benchmarks/lattice_search.py in revision 41a0d66)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -123,8 +143,9 @@ def level_constants(layout: GridLayout) -> tuple[list[tuple[int, ...]], list[tup
     """Return what the compiled backends read per level: six integers, and three numbers for float32.
 
     The integers are first row, row mask, multiplier of y, multiplier of z, resolution - 2, and rows. A voxel
-    with the number x + multiplier_y y + multiplier_z z is row `first row + (number & mask)`: the mask has all
-    bits where rows are no power of two, since such a level is dense and its numbers are below that already.
+    with the number x + multiplier_y y + multiplier_z z is row `first row + (number & mask)`: the mask has
+    all bits where rows are not a power of two, since such a level is dense and its numbers are below that
+    already.
     The others are d u / d z, u of the cube's centre, and the largest u.
     """
     counts: list[tuple[int, ...]] = []

@@ -1,6 +1,6 @@
 """The stretch of a ray on which a lattice has occupied cells, in plain torch; `cells` has the compiled loop.
 
-Points stand at near + (k + 1/2) step, k = 0, 1, ... up to far. The stretch begins a step before the first
+Points are at near + (k + 1/2) step, k = 0, 1, ... up to far. The stretch begins a step before the first
 one in an occupied cell, and ends a step behind the last one, within near and far; without any it is empty.
 """
 

@@ -24,7 +24,7 @@ def fast_cache_loss(
 
     Radiance is compared in sRGB, opacity linearly, distance in normalised distance where the ray is
     mostly blocked. `inside` is one for rays that start where the cache is taught. Rays that are not `counted`
-    are no part of the means (`flashcache.rows`). With `from_diffuse` the rays of the diffuse and
+    have no part in the means (`flashcache.rows`). With `from_diffuse` the rays of the diffuse and
     of the specular half count as much as each other, however many there are. Source: supplement 2.1; the
     distance term is ours (docs/decisions/0004-distance-output.md).
     """
@@ -32,9 +32,9 @@ def fast_cache_loss(
     opacity = (answer.opacity - target.opacity.detach()).square()
     start, end = (answer.distance.new_full((), limit) for limit in (limits.near, limits.far))
     wanted = SECONDARY_CURVE.normalised(target.distance.detach(), start, end)
-    found = SECONDARY_CURVE.normalised(answer.distance, start, end)
+    answered = SECONDARY_CURVE.normalised(answer.distance, start, end)
     blocked = (target.opacity.detach() > 0.5).to(rgb.dtype)
-    distance = blocked * (wanted - found).abs()
+    distance = blocked * (wanted - answered).abs()
     loss = inside * (rgb + opacity_weight * opacity + distance_weight * distance)
     if from_diffuse is None:
         return loss.mean() if counted is None else mean_where(loss, counted)

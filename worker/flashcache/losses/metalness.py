@@ -113,7 +113,7 @@ def _distance_from(
     weight: Float[Tensor, " points"],
     config: MetalnessPriorConfig,
 ) -> Float[Tensor, ""]:
-    """Return the weighted mean squared distance from where `variation` stands between the ends."""
+    """Return the weighted mean squared distance from the value between the ends that `variation` suggests."""
     rise = _smooth_step(variation.own.detach(), config.variation)
     if config.bright_variation is not None:
         rise = torch.minimum(rise, _smooth_step(variation.bright.detach(), config.bright_variation))

@@ -3,7 +3,7 @@
 from jaxtyping import Float
 from torch import Tensor
 
-from flashcache.gradients import scale_gradient
+from flashcache.fields.mlp import scale_gradient
 
 
 def normal_consistency(

@@ -1,4 +1,4 @@
-"""Losses that compare rendered with photographed colour and opacity.
+"""Losses that compare colour and opacity: rendered with photographed, and the cache with physical estimates.
 
 Colours are linear Rec. 709 unless a name says srgb; every result is a mean over rays.
 """
@@ -98,3 +98,20 @@ def physical_photometric(
     loss = 2.0 * (photograph - estimate_a) * (photograph - estimate_b).detach() / scale
     loss = torch.where(agreed, torch.zeros_like(loss), loss)
     return (loss.mean(dim=-1) * ray_weight).mean()
+
+
+def consistency(
+    cache: Float[Tensor, "points 3"],
+    physical: Float[Tensor, "points 3"],
+    point_weight: Float[Tensor, " points"],
+) -> Float[Tensor, ""]:
+    """Return a loss that moves a cache head towards the mean of a noisy physical estimate.
+
+    Both are linear radiance at the same points. `physical` is detached, and the denominator holds
+    the cache alone: the noisy estimate there would pull the target down. Since the cache side has no
+    noise, one estimate already has the unbiased gradient of `(cache - E[physical])^2 / scale`.
+    Source: supplement 2.9.
+    """
+    frozen = cache.detach()
+    residual = 2.0 * (frozen - physical.detach()) / (frozen + 0.01)
+    return ((cache * residual).mean(dim=-1) * point_weight).mean()

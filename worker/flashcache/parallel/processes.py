@@ -28,7 +28,7 @@ _GRACE_S = 10.0
 class Processes:
     """`count` processes, of which the first is this one; the others end when this one does.
 
-    They are started at once and load their libraries while the caller goes on. They ignore the signals that
+    They are started at once and load their libraries while the caller continues. They ignore the signals that
     a terminal or a supervisor sends to all processes of a run: this one decides what happens.
     """
 
@@ -115,10 +115,10 @@ class _Other:
     def answer(self) -> tuple[bool, Any]:
         """Return whether the process could answer, and the answer or the exception."""
         try:
-            found: tuple[bool, Any] = self._channel.receive()
+            reply: tuple[bool, Any] = self._channel.receive()
         except (EOFError, OSError):
             return False, self._ended()
-        return found
+        return reply
 
     def close(self) -> None:
         self._channel.close()

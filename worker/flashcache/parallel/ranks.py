@@ -21,10 +21,9 @@ import torch.distributed as dist
 from torch import Tensor, nn
 
 from flashcache.errors import RankLostError
-from flashcache.gradients import scale_gradient
 
 AGREEMENT_TIMEOUT_S = 48 * 3600.0
-"""Time that ranks wait between steps for the first, which may wait a day for a server that is away."""
+"""Time that ranks wait between steps for the first, which may wait a day for a server that is unavailable."""
 _ALIGNMENT = 64
 _LOOPBACK = "lo" if os.uname().sysname == "Linux" else "lo0"
 
@@ -55,7 +54,7 @@ class Ranks:
         Within a step a rank waits `step_timeout_s` for the others before it takes them for lost.
 
         They find each other by a file, and talk over the loopback interface: torch's own meeting point
-        listens on all interfaces, to anybody. NCCL adds on GPUs, gloo on processors.
+        listens on all interfaces, to everyone. NCCL adds on GPUs, gloo on processors.
         """
         for name in ("GLOO_SOCKET_IFNAME", "NCCL_SOCKET_IFNAME"):
             os.environ.setdefault(name, _LOOPBACK)
@@ -85,10 +84,11 @@ class Ranks:
 
     def rows_of_all(self, values: Tensor) -> Tensor:
         """Return the rows of all ranks in the order of the whole batch; no gradients."""
-        found = [torch.empty_like(values, memory_format=torch.contiguous_format) for _ in range(self.count)]
+        own = values.detach().contiguous()
+        gathered = [torch.empty_like(own) for _ in range(self.count)]
         with _telling_of_loss():
-            dist.all_gather(found, values.detach().contiguous())
-        return torch.stack(found, dim=1).flatten(0, 1)
+            dist.all_gather(gathered, own)
+        return torch.stack(gathered, dim=1).flatten(0, 1)
 
     def agree(self, *numbers: int) -> tuple[int, ...]:
         """Return the numbers that the first rank gives; what others give is ignored. All wait for it."""
@@ -100,10 +100,10 @@ class Ranks:
     def hold_the_same(self, module: nn.Module) -> bool:
         """Return whether the values of a module are the same bits on all ranks."""
         own = torch.stack([_bits(value) for value in module.state_dict().values()])
-        found = [torch.empty_like(own) for _ in range(self.count)]
+        digests = [torch.empty_like(own) for _ in range(self.count)]
         with _telling_of_loss():
-            dist.all_gather(found, own, group=self._control)
-        return all(torch.equal(found[0], other) for other in found[1:])
+            dist.all_gather(digests, own, group=self._control)
+        return all(torch.equal(digests[0], other) for other in digests[1:])
 
 
 _CURRENT: ContextVar[Ranks | None] = ContextVar("ranks", default=None)
@@ -182,11 +182,12 @@ def rows_of_all_ranks(values: Tensor) -> Tensor:
     ranks = _CURRENT.get()
     if ranks is None:
         return values
-    found = ranks.rows_of_all(values)
+    rows = ranks.rows_of_all(values)
     if not values.requires_grad:
-        return found
-    own = torch.arange(ranks.number, len(found), ranks.count, device=values.device)
-    return found.index_copy(0, own, scale_gradient(values, float(ranks.count)))
+        return rows
+    own = torch.arange(ranks.number, len(rows), ranks.count, device=values.device)
+    # The values themselves, with gradients times `count`.
+    return rows.index_copy(0, own, torch.lerp(values.detach(), values, float(ranks.count)))
 
 
 def sum_of_ranks(values: Tensor) -> Tensor:

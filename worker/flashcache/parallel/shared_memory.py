@@ -38,9 +38,9 @@ class SharedMemory:
 
     def copy_of(self, tensor: Tensor) -> Tensor:
         """Return a copy of a CPU tensor in this block, contiguous."""
-        found = self.zeros_like(tensor)
-        found.copy_(tensor.detach())
-        return found
+        copy = self.zeros_like(tensor)
+        copy.copy_(tensor.detach())
+        return copy
 
     def zeros_like(self, tensor: Tensor) -> Tensor:
         """Return a new tensor of zeros in this block, contiguous, of the shape and type of `tensor`."""
@@ -145,9 +145,9 @@ class _Unpickler(pickle.Unpickler):
         self._block = block
         self._known: dict[int, Tensor] = {}
 
-    def persistent_load(self, found: Any) -> Tensor:
-        """Return the tensor of the block that `found` stands for."""
-        key, place, is_parameter, with_gradient = found
+    def persistent_load(self, reference: Any) -> Tensor:
+        """Return the tensor of the block that `reference` stands for."""
+        key, place, is_parameter, with_gradient = reference
         if key not in self._known:
             assert self._block is not None
             tensor = self._block.at(place)

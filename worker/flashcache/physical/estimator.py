@@ -13,14 +13,12 @@ import torch
 from torch import Tensor
 
 from flashcache.errors import ConfigError
-from flashcache.gradients import scale_gradient
+from flashcache.fields.mlp import scale_gradient
 from flashcache.physical.brdf import Materials
 from flashcache.physical.incident import (
-    EnvironmentSource,
     Incident,
+    LightSources,
     NearField,
-    RadianceSource,
-    RayLimits,
     SecondaryRays,
 )
 from flashcache.physical.sampling import CosineLobe, GgxLobe, Strategy
@@ -60,7 +58,7 @@ class DirectionCounts:
     def divided(self, parts: int) -> "DirectionCounts":
         """Return the directions of each of `parts` points that share these; no half is left without one.
 
-        The total is divided exactly as long as it is a multiple of `parts` and gives each point two or more.
+        The total is divided exactly where it is a multiple of `parts` that gives each point two or more.
         """
         diffuse = self.cosine + self.sampler
         share = max(2, self.total // parts) if self.total else 0
@@ -111,12 +109,9 @@ class EstimatorConfig:
 def control_variate(
     points: ShadingPoints,
     materials: Materials,
+    sources: LightSources,
     *,
-    nerf: RadianceSource,
-    fast: RadianceSource,
-    environment: EnvironmentSource,
     mixture: Strategy | None,
-    limits: RayLimits,
     config: EstimatorConfig,
     generator: torch.Generator,
     with_variance: bool = False,
@@ -124,10 +119,11 @@ def control_variate(
 ) -> Estimate:
     """Return the fast estimate plus the correction that makes its mean that of the NeRF cache alone.
 
-    The correction evaluates both caches on the same rays; the fast estimate has its own. `mixture` is the
-    light sampler's at the points, or None to draw from the cosine instead. Sources are called without
-    gradients unless `config.through_cache` says otherwise, except for the fast cache on the rays of the
-    correction, whose answer is returned for its own loss; the environment is asked once, with gradients.
+    The correction evaluates both caches, `sources.near` and `sources.fast`, on the same rays; the fast
+    estimate has its own. `mixture` is the light sampler's at the points, or None to draw from the cosine
+    instead. Caches are called without gradients unless `config.through_cache` says otherwise, except for the
+    fast cache on the rays of the correction, whose answer is returned for its own loss; the environment is
+    called once, with gradients.
     `supervise` traces the exact directions also where the estimate leaves them out ("fast_only"), for the
     losses that learn from them. Source: paper Eq. 9.
     """
@@ -144,10 +140,10 @@ def control_variate(
     else:
         diffuse = [(cosine, [c.cosine for c in counts]), (mixture, [c.sampler for c in counts])]
     specular = [(lobe, [count.specular for count in counts])]
-    directions = DrawnDirections.draw(points, diffuse, specular, config.stratified, limits, generator)
+    directions = DrawnDirections.draw(points, diffuse, specular, config.stratified, sources.limits, generator)
     rays = directions.rays
-    sky = environment(rays.directions, rays.light_index)
-    exact_nerf, exact_fast, fast_only = _ask(rays, directions.num_exact_rays, nerf, fast, config)
+    sky = sources.environment(rays.directions, rays.light_index)
+    exact_nerf, exact_fast, fast_only = _ask(rays, directions.num_exact_rays, sources, config)
     near, clear = _signed(exact_nerf, exact_fast, fast_only, config)
     radiance = directions.scatter(near + clear.unsqueeze(-1) * sky)
     result = directions.integrate(radiance, materials, config.normal_gradient, with_variance)
@@ -159,12 +155,10 @@ def control_variate(
 def estimate(
     points: ShadingPoints,
     materials: Materials,
+    sources: LightSources,
     *,
-    source: RadianceSource,
-    environment: EnvironmentSource,
     diffuse: Sequence[tuple[Strategy, int]],
     specular: Sequence[tuple[Strategy, int]],
-    limits: RayLimits,
     config: EstimatorConfig,
     generator: torch.Generator,
     with_variance: bool = False,
@@ -172,28 +166,25 @@ def estimate(
     """Return the plain multi-sample estimate with any strategies, and their directions, in each half.
 
     For relighting, the halves are usually (cosine, map) and (GGX, map) with the same `EnvironmentMapSampler`,
-    and `source` answers with what the new light makes of the near field. Only the offset, the ray ends,
-    `stratified` and the gradient factor of `config` are used. Source: paper Eq. 5 with the power heuristic of
+    and `sources.near` answers with what the new light makes of the near field. Only `stratified` and the
+    gradient factors of `config` are used. Source: paper Eq. 5 with the power heuristic of
     supplement 2.7.
     """
     halves = [[(strategy, [count]) for strategy, count in half] for half in (diffuse, specular)]
-    directions = DrawnDirections.draw(points, halves[0], halves[1], config.stratified, limits, generator)
-    rays = directions.rays
-    near, clear = _signed(source(rays), None, None, config)
-    sky = environment(rays.directions, rays.light_index)
-    radiance = directions.scatter(near + clear.unsqueeze(-1) * sky)
+    directions = DrawnDirections.draw(
+        points, halves[0], halves[1], config.stratified, sources.limits, generator
+    )
+    radiance = _arriving(directions, sources, config)
     return directions.integrate(radiance, materials, config.normal_gradient, with_variance)
 
 
 def relight(
     points: ShadingPoints,
     materials: Materials,
+    sources: LightSources,
     *,
-    source: RadianceSource,
-    environment: EnvironmentSource,
     light: Strategy | None,
     counts: DirectionCounts,
-    limits: RayLimits,
     config: EstimatorConfig,
     generator: torch.Generator,
     continued: bool = False,
@@ -215,18 +206,25 @@ def relight(
         strategies = [(cosine, [counts.cosine]), (light, [counts.sampler]), (lobe, [counts.specular])]
     with torch.no_grad():
         directions = DrawnDirections.draw(
-            points, strategies, [], config.stratified, limits, generator, continued=continued
+            points, strategies, [], config.stratified, sources.limits, generator, continued=continued
         )
-        rays = directions.rays
-        near, clear = _signed(source(rays), None, None, config)
-        sky = environment(rays.directions, rays.light_index)
-        return directions.integrate_together(directions.scatter(near + clear.unsqueeze(-1) * sky), materials)
+        return directions.integrate_together(_arriving(directions, sources, config), materials)
+
+
+def _arriving(directions: DrawnDirections, sources: LightSources, config: EstimatorConfig) -> Tensor:
+    """Return the radiance [points, lights, 3] that arrives from the near field and the environment behind."""
+    rays = directions.rays
+    near, clear = _signed(sources.near(rays), None, None, config)
+    sky = sources.environment(rays.directions, rays.light_index)
+    return directions.scatter(near + clear.unsqueeze(-1) * sky)
 
 
 def _ask(
-    rays: SecondaryRays, num_exact: int, nerf: RadianceSource, fast: RadianceSource, config: EstimatorConfig
+    rays: SecondaryRays, num_exact: int, sources: LightSources, config: EstimatorConfig
 ) -> tuple[NearField | None, NearField | None, NearField | None]:
     """Return the two caches' answers to the exact rays, and the fast cache's to the others."""
+    nerf, fast = sources.near, sources.fast
+    assert fast is not None, "a control variate needs both caches"
     exact, rest = rays.split(num_exact)
     frozen = config.through_cache == 0.0
     # The fast cache's own loss needs a graph of the exact rays only.

@@ -106,6 +106,18 @@ EnvironmentSource = Callable[[Tensor, Tensor], Tensor]
 """Far-field radiance [rays, 3] of unit directions [rays, 3] under the lights [rays]."""
 
 
+@dataclass(frozen=True)
+class LightSources:
+    """What sends light to surface points, and the limits of the rays that ask for it."""
+
+    near: RadianceSource
+    """The near field: a cache, or what a new light makes of one."""
+    environment: EnvironmentSource
+    limits: RayLimits
+    fast: RadianceSource | None = None
+    """A cheaper cache of the same near field, for estimates with a control variate."""
+
+
 def visibility_only(source: RadianceSource) -> RadianceSource:
     """Return a source with the occlusion of `source` and no radiance: direct light with shadows."""
 

@@ -71,7 +71,7 @@ class InverseModel(nn.Module):
         occupancy = None
         if config.occupancy.cells:
             occupancy = Occupancy(domain.bounds_min, domain.bounds_max, config.occupancy.cells)
-        self.nerf = NerfCache(config.nerf, radius, num_lights, (near, far), turns, occupancy)
+        self.nerf = NerfCache(config.nerf, radius, num_lights, domain.secondary, turns, occupancy)
         self.environment = Environment(
             config.environment,
             num_lights,
@@ -80,7 +80,7 @@ class InverseModel(nn.Module):
             turns=turns,
         )
         self.materials = MaterialField(config.materials, radius)
-        self.fast = FastCache(config.fast, radius, num_lights, near, far, turns=turns)
+        self.fast = FastCache(config.fast, radius, num_lights, domain.secondary, turns=turns)
         self.light_sampler = LightSampler(config.light_sampler, radius, num_lights, turns)
         # Published scenes have a near distance of 0.05 and an offset of 0.01 (authors' code).
         self.limits = RayLimits(near=near, far=far, origin_offset=domain.origin_offset or near / 5.0)

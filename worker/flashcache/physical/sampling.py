@@ -124,9 +124,10 @@ class EnvironmentMapSampler:
         self._columns = columns / columns[:, -1:]
 
     def sample(self, u: Float[Tensor, "points lights 2"]) -> Float[Tensor, "points lights 3"]:
-        """Return directions: the first variate picks a row, the second a column in it, and both go on inside.
+        """Return directions: the first variate picks a row, the second a column in it.
 
-        So variates that are spread evenly give directions that are.
+        Both rests place the direction inside of the pixel, so variates that are spread evenly give directions
+        that are.
         """
         height, width = self._shape
         row, down = _inverse(self._rows, u[..., 0].double())
@@ -186,7 +187,7 @@ def draw_uniforms(
 
     Every variate of the lattice is uniform, so that estimates stay unbiased; those of one point avoid each
     other. The lattice is the additive recurrence of the generalised golden ratio (Roberts' sequence). With
-    `continued` one lattice, shifted once, goes on from each point to the next, so that the variates of
+    `continued` one lattice, shifted once, runs from each point into the next, so that the variates of
     neighbours avoid each other too: the mean of a pixel's points has less noise, and the points' errors
     depend on each other.
     """

@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from flashcache.fields.mlp import scale_gradient
 from flashcache.geometry.directions import dot
-from flashcache.gradients import scale_gradient
 from flashcache.physical.brdf import Materials, diffuse_albedo, lambert_cos, specular_brdf_cos
 from flashcache.physical.incident import Incident, NearField, RayLimits, SecondaryRays
 from flashcache.physical.sampling import DirectionSamples, Strategy, draw_directions

@@ -1,4 +1,4 @@
-"""How sure polished reflectance is: the curvature of the polish's cost around what was chosen.
+"""The confidence in polished reflectance: the curvature of the polish's cost around what was chosen.
 
 An observation is (1 - m) a d E + F0 A + B, F0 = 0.04 (1 - m) + m a d, as in `flashcache.polish.fit`; a is
 albedo, d its detail, m metalness. Its derivatives by a and m have closed forms, that by roughness is a
@@ -50,7 +50,7 @@ NEAREST, REACH = 4, 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Confidence:
-    """Standard deviations of the reflectance at places of the surface, under the light that was found."""
+    """Standard deviations of the reflectance at places of the surface, under the fitted light."""
 
     positions: Float[Tensor, "places 3"]
     """Scene units."""
@@ -73,8 +73,8 @@ class Confidence:
     def load(cls, path: Path) -> "Confidence":
         """Return what `save` wrote; raises `TrainingError` when the file is damaged."""
         try:
-            found: dict[str, Any] = load_file(path)
-            return cls(**(found | {"size": float(found["size"])}))
+            stored: dict[str, Any] = load_file(path)
+            return cls(**(stored | {"size": float(stored["size"])}))
         except (OSError, KeyError, TypeError, SafetensorError) as error:
             raise TrainingError(
                 f"{path} cannot be read ({error!r}); delete it, and maps of uncertainty do without the polish"
@@ -87,11 +87,11 @@ class Confidence:
         distance, index = cKDTree(self.positions.numpy()).query(
             positions.numpy(), [*range(1, near + 1)], distance_upper_bound=reach
         )
-        found = np.isfinite(distance)
-        weight = torch.from_numpy(np.where(found, 1.0 / (distance + 0.1 * self.size), 0.0)).float()
+        within = np.isfinite(distance)
+        weight = torch.from_numpy(np.where(within, 1.0 / (distance + 0.1 * self.size), 0.0)).float()
         # 0 / 0 is the NaN where nothing is near.
         weight = weight / weight.sum(dim=1, keepdim=True)
-        index = torch.from_numpy(np.where(found, index, 0))
+        index = torch.from_numpy(np.where(within, index, 0))
         return Confidence(
             positions,
             self.size,
@@ -161,11 +161,11 @@ def derivatives(
         for part in (_specular(elements, tables, sky, reflectance.normal, alpha) for alpha in sides)
     )
     apart = (sides[1].sqrt() - sides[0].sqrt()).double()[element, None]
-    found = torch.zeros(len(element), 3, 5, dtype=torch.float64)
-    found[:, :, :3] = torch.diag_embed(albedo * ((1.0 - metal) * irradiance + metal * first))
-    found[:, :, 3] = (albedo - DIELECTRIC_F0) * first - albedo * irradiance
-    found[:, :, 4] = (wide - narrow) / apart
-    return (1.0 - metal) * albedo * irradiance + f0 * first + second, found
+    jacobian = torch.zeros(len(element), 3, 5, dtype=torch.float64)
+    jacobian[:, :, :3] = torch.diag_embed(albedo * ((1.0 - metal) * irradiance + metal * first))
+    jacobian[:, :, 3] = (albedo - DIELECTRIC_F0) * first - albedo * irradiance
+    jacobian[:, :, 4] = (wide - narrow) / apart
+    return (1.0 - metal) * albedo * irradiance + f0 * first + second, jacobian
 
 
 def _irradiance(
@@ -177,11 +177,11 @@ def _irradiance(
     coarse = sky.reshape(-1, side, scale, side, scale, 3).mean(dim=(2, 4)).reshape(len(sky), -1, 3)
     cosine = (normal @ octahedral_directions(side).T).clamp_min(0.0)
     cosine = cosine * (octahedral_solid_angles(side) / torch.pi)
-    found = [
+    received = [
         (cosine * tables.clear) @ far + torch.einsum("nd,ndc->nc", cosine, near)
         for far, near in zip(coarse, tables.near, strict=True)
     ]
-    return torch.stack(found)[elements.light, elements.element].double()
+    return torch.stack(received)[elements.light, elements.element].double()
 
 
 def _specular(
@@ -190,11 +190,11 @@ def _specular(
     """Return the specular integral of each observation: what F0 multiplies, and the rest."""
     picture, light = sky.numpy(), elements.light.numpy()
     side, count = round(sky.shape[1] ** 0.5), len(elements.colour)
-    found = torch.zeros(2, count, 3, dtype=torch.float64)
+    integrals = torch.zeros(2, count, 3, dtype=torch.float64)
     for begin in range(0, count, CHUNK):
         some = slice(begin, begin + CHUNK)
         cells, weights, constant = specular_sums(elements, tables, normal, alpha, side, DIRECTIONS, some)
         arriving = picture[light[some][:, None], cells]
         summed = np.einsum("nkp,nkc->pnc", weights, arriving) + constant.transpose(1, 0, 2)
-        found[:, some] = torch.from_numpy(summed).double()
-    return found[0], found[1]
+        integrals[:, some] = torch.from_numpy(summed).double()
+    return integrals[0], integrals[1]

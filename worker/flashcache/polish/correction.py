@@ -31,13 +31,13 @@ DOUBT = 0.02
 def corrected_albedo(
     render: Callable[[Int[Tensor, " some"], int], Float[Tensor, "some 3"]],
     elements: Elements,
-    found: Reflectance,
+    fitted: Reflectance,
     neighbours: Neighbours,
     seed: int,
 ) -> Reflectance:
-    """Return `found` with its albedo times what pixels show over what is rendered of them.
+    """Return `fitted` with its albedo times what pixels show over what is rendered of them.
 
-    `render` returns the radiance of training pixels by the model that has learned `found`, with random
+    `render` returns the radiance of training pixels by the model that has learned `fitted`, with random
     numbers of their own for every repeat. The factor per channel is that of least squares over an element and
     those around it with similar albedo, weighted like the observations of the fit. Channels that are known to
     be at least so bright do not ask for less. At most `MOST`, and near 1 where little light arrives.
@@ -56,8 +56,8 @@ def corrected_albedo(
         return torch.zeros(len(elements), 3).index_add_(0, element, values)
 
     both = torch.cat([summed(weight * mean * measured), summed(weight * one * other)], dim=1)
-    alike = neighbours.among_alike(encoded(found.albedo), WIDTH)
+    alike = neighbours.among_alike(encoded(fitted.albedo), WIDTH)
     both = alike.pooled(both, torch.ones(len(elements)), STEPS)
     factor = ((both[:, :3] + DOUBT) / (both[:, 3:].clamp_min(0.0) + DOUBT)).clamp(1.0 / MOST, MOST)
-    albedo = (found.albedo * factor).clamp(0.0, 1.0)
-    return replace(found, albedo=albedo)
+    albedo = (fitted.albedo * factor).clamp(0.0, 1.0)
+    return replace(fitted, albedo=albedo)

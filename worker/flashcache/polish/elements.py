@@ -63,7 +63,7 @@ class Elements:
     places: Float[Tensor, "observations places 3"]
     """Samples of each pixel's ray in equal parts of its render weight: where a picture is shaded."""
     rest: Float[Tensor, "rest places 3"]
-    """The same of opaque pixels that are no observations: too oblique, too blurred, or alone."""
+    """The same of opaque pixels without an observation: too oblique, too blurred, or alone."""
 
     def __len__(self) -> int:
         """Return the number of elements."""
@@ -128,8 +128,8 @@ def find_elements(model: InverseModel, pixels: TrainingPixels, generator: torch.
     """
     chosen = _opaque_pixels(pixels, generator)
     batches = chosen.split(CHUNK_RAYS)
-    found = on_all_cores(partial(_hits, model, pixels), batches, pixels.device)
-    hits = _Hits(*(torch.cat([getattr(part, name) for part in found]) for name in _Hits.__slots__))
+    parts = on_all_cores(partial(_hits, model, pixels), batches, pixels.device)
+    hits = _Hits(*(torch.cat([getattr(part, name) for part in parts]) for name in _Hits.__slots__))
     size = _footprint(pixels, hits.points, chosen)
     sound = (
         (hits.spread < 1.5 * size)
@@ -175,11 +175,11 @@ def _opaque_pixels(pixels: TrainingPixels, generator: torch.Generator) -> Int[Te
     """Return the positions of opaque pixels, at most `MOST_PIXELS` of them at random."""
     inside = pixels.inside
     covered = torch.cat([pixels.at(part).coverage > OPAQUE for part in inside.split(1 << 16)])
-    found = inside[covered]
-    if len(found) > MOST_PIXELS:
-        drawn = torch.randperm(len(found), generator=generator, device=found.device)[:MOST_PIXELS]
-        found = found[drawn.sort().values]
-    return found
+    opaque = inside[covered]
+    if len(opaque) > MOST_PIXELS:
+        drawn = torch.randperm(len(opaque), generator=generator, device=opaque.device)[:MOST_PIXELS]
+        opaque = opaque[drawn.sort().values]
+    return opaque
 
 
 def _hits(model: InverseModel, pixels: TrainingPixels, index: Int[Tensor, " rays"]) -> _Hits:

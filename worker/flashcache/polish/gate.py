@@ -1,4 +1,4 @@
-"""Which surface elements keep stage two's material: those whose unseen photographs it explains better."""
+"""The gate of the polish: elements whose unseen photographs stage two explains better keep its material."""
 
 from dataclasses import dataclass
 
@@ -59,7 +59,7 @@ def rendered(
     compared; every `repeat` gets its own.
     """
     rule = RenderRule(control_variate="fast_only")
-    found = torch.zeros(len(index), 3)
+    picture = torch.zeros(len(index), 3)
     light = torch.cat([pixels.at(part).light_index for part in index.split(LOOKED_UP)])
     skies = [sky_sampler(model, number) for number in range(len(model.domain.lights))]
     parts_by_light = [
@@ -85,10 +85,10 @@ def rendered(
         radiance = lit_radiance(
             model, points, num_directions=DIRECTIONS, rule=rule, generator=generator, sky=sky
         )
-        found[some] = radiance.reshape(len(some), POINTS, 3).mean(dim=1)
+        picture[some] = radiance.reshape(len(some), POINTS, 3).mean(dim=1)
 
     on_all_cores(fill, enumerate(parts_by_light), index.device)
-    return found
+    return picture
 
 
 def picture_errors(

@@ -24,7 +24,7 @@ REACH = 3.0
 """How far the nearest element may be from what a pixel shows, in sizes of an element."""
 SURFACE_OPACITY = 0.9
 MOST_CLAMPED = 0.05
-"""Share of elements that would be whiter than white from which on the user is told."""
+"""Share of elements that would be whiter than white from which on the user is warned."""
 
 
 class GreyCardError(FlashCacheError):
@@ -118,7 +118,7 @@ def scale_to_card(
 
 def settle_by_card(
     model: InverseModel,
-    card: Card,
+    card: Card | None,
     positions: Float[Tensor, "elements 3"],
     size: float,
     albedo: Float[Tensor, "elements 3"],
@@ -126,8 +126,10 @@ def settle_by_card(
 ) -> Scaled:
     """Return the fitted `albedo` of elements of `size` and the environments, brought to the card's level.
 
-    What stands in the way becomes a finding, and then both are as they were.
+    What prevents that becomes a finding, and then both are as they were; so they are without a card.
     """
+    if card is None:
+        return Scaled(albedo, sky)
     points = card_points(model, card.rays)
     try:
         factor = card_factor(albedo_at(points, positions, size, albedo), card.reflectance)

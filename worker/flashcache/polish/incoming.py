@@ -14,7 +14,7 @@ from flashcache.polish.elements import Elements
 SIDE = 20
 """Cells along each side of the square."""
 BELOW = -0.35
-"""Cosine with the normal down to which directions are asked: normals may tilt by twenty degrees."""
+"""Cosine with the normal down to which directions are looked up: normals may tilt by twenty degrees."""
 CHUNK_ELEMENTS = 256
 
 
@@ -42,9 +42,9 @@ def incoming_tables(model: InverseModel, elements: Elements, num_lights: int) ->
         row, column = asked.nonzero(as_tuple=True)
         for light in range(num_lights):
             index = torch.full_like(row, light)
-            found = model.fast(origins[part][row], directions[column], index)
-            clear[part[row], column] = 1.0 - found.opacity
-            near[light, part[row], column] = found.near_radiance
+            answer = model.fast(origins[part][row], directions[column], index)
+            clear[part[row], column] = 1.0 - answer.opacity
+            near[light, part[row], column] = answer.near_radiance
 
     on_all_cores(fill, torch.arange(count).split(CHUNK_ELEMENTS), origins.device)
     return IncomingTables(clear, near)

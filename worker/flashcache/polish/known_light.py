@@ -1,9 +1,9 @@
-"""Whether photographs contradict an environment that was given as known.
+"""The test whether photographs contradict an environment that was given as known.
 
 Observations are compared with what they would be under the given light, and under one that was fitted to them
 freely; with both, materials are the same kind of fit. What the second leaves unexplained is the noise level:
 errors of photographs, shape, materials and caches together. The given light is contradicted where it adds
-more to the errors than all of these, and that is no accident of some places.
+more to the errors than all of these, and in more places than chance explains.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +25,7 @@ STEP = 1.0 / 255.0
 BOUND = 25.0
 """Cost of a place, in noise levels, that counts at most: five standard deviations."""
 SURE = 4.75
-"""Standard errors above which an excess is no accident: one false alarm in a million."""
+"""Standard errors above which an excess is not taken for chance: one false alarm in a million."""
 CODE = "light.known_contradicted"
 LEVEL_STEPS = 20
 """Steps along the graph over which the level of albedo is settled. Fewer, and albedo takes in what is wrong

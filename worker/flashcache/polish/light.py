@@ -90,24 +90,24 @@ class Prediction:
     def __call__(self, sky: np.ndarray) -> np.ndarray:
         """Return the radiance [observations, 3] of every observation under `sky` [lights, cells, 3]."""
         sky = np.ascontiguousarray(sky, np.float32)
-        found = np.empty_like(self.constant)
-        arrays = (self.cells, self.weights, self.f0, self.light, sky, found)
-        over_rows(compiled_fit.reflected, len(found), BLOCK, *arrays)
-        found += self.constant
+        radiance = np.empty_like(self.constant)
+        arrays = (self.cells, self.weights, self.f0, self.light, sky, radiance)
+        over_rows(compiled_fit.reflected, len(radiance), BLOCK, *arrays)
+        radiance += self.constant
         for light in range(self.lights):
             rows = slice(None) if self.lights == 1 else self.light == light
             irradiance = self.received @ self._coarse(sky[light]) + self.near[light]
-            found[rows] += self.diffuse[rows] * irradiance[self.element.numpy()[rows]]
-        return found
+            radiance[rows] += self.diffuse[rows] * irradiance[self.element.numpy()[rows]]
+        return radiance
 
     def gradient(self, residual: np.ndarray) -> np.ndarray:
         """Return the gradient [lights, cells, 3] of the sum of predictions times `residual`."""
         residual = np.ascontiguousarray(residual, np.float32)
         parts = math.ceil(len(residual) / ROWS)
-        found = np.zeros((parts, self.lights, self.fine**2, 3), np.float32)
-        arrays = (ROWS, self.cells, self.weights, self.f0, self.light, residual, found)
+        sums = np.zeros((parts, self.lights, self.fine**2, 3), np.float32)
+        arrays = (ROWS, self.cells, self.weights, self.f0, self.light, residual, sums)
         over_rows(compiled_fit.gathered, parts, 1, *arrays)
-        gradient = found.sum(axis=0)
+        gradient = sums.sum(axis=0)
         for light in range(self.lights):
             of_light = residual if self.lights == 1 else residual * (self.light == light)[:, None]
             per_element = np.add.reduceat(self.diffuse * of_light, self.elements.first[:-1].numpy(), axis=0)

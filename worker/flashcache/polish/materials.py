@@ -1,13 +1,15 @@
 """The choice of every element's material from pooled costs, drawn to stage two's where evidence is weak."""
 
+from functools import partial
+
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from flashcache.fields.materials import Materials
 from flashcache.geometry.directions import normalize
 from flashcache.polish.elements import Elements
-from flashcache.polish.fit import ALPHAS, Tilts, costs, costs_of_some
+from flashcache.polish.fit import ALPHAS, Costs, Tilts, costs, costs_of_some
 from flashcache.polish.incoming import IncomingTables
 from flashcache.polish.light import Reflectance
 from flashcache.polish.neighbours import Neighbours
@@ -64,69 +66,103 @@ def choose(
 
     `normals` are candidates; the first one is turned, and the predicted one is always among them.
     """
-    count, widths = len(elements), torch.tensor(ALPHAS)
-    row, amount = torch.arange(count), elements.counts.float()
-    of_plane = costs(elements, tables, sky, normal=normals[0])
-    turned = costs(elements, tables, sky, normal=normals[0], tilts=TILTS, untilted=of_plane)
+    cost_of = partial(costs, elements, tables, sky)
+    amount, row = elements.counts.float(), torch.arange(len(elements))
+    of_plane = cost_of(normal=normals[0])
+    turned = cost_of(normal=normals[0], tilts=TILTS, untilted=of_plane)
     base = smoothed_albedo(elements, trained, neighbours)
-    close = neighbours.among_alike(encoded(base), 0.25)
-    wide = neighbours.among_alike(encoded(base), 0.35)
+    close, wide = (neighbours.among_alike(encoded(base), width) for width in (0.25, 0.35))
 
-    both = (turned.cost + COST_FLOOR).log().reshape(count, -1)
-    pooled = wide.pooled(both, amount, 40).reshape(count, len(ALPHAS), 2)
-    beyond = (widths / WIDE_METAL).log().clamp_min(0.0).square()
-    of_metal = pooled[:, :, 1] + WIDE_METAL_PRIOR * beyond
-    apart = of_metal.min(dim=1).values - pooled[:, :, 0].min(dim=1).values
-    believed = wide.pooled(trained.metalness, amount, 10)[:, 0]
-    metal = wide.pooled(metalness(apart, believed)[:, None], amount, 3)[:, 0]
+    # What is metal, by the costs of both hypotheses pooled over surfaces of one colour.
+    metal, level = _metals(turned, trained.metalness, wide, amount)
     is_metal = metal > 0.5
     which = is_metal.long()
 
-    level = of_metal.argmin(dim=1)
-    moved = tilted(normals[0], TILTS.moves[turned.tilt[row, level, 1]])
-    sure = amount / (turned.cost[row, level, 1] + 0.002)
-    smooth = [normalize(neighbours.pooled(moved, sure, times)) for times in SMOOTHED]
-    # A smoothed turn may fit worse than what it began with: the normal that fits best around stays.
-    candidates = [
-        elements.normal,
-        *normals,
-        *(torch.where(is_metal[:, None], each, normals[0]) for each in smooth),
+    # The normal: metals' turns of the first candidate are smoothed. A smoothed turn may fit worse than what
+    # it began with: the normal that fits best around stays.
+    smooth = [
+        torch.where(is_metal[:, None], each, normals[0])
+        for each in _smoothed_turns(normals[0], turned, level, neighbours, amount)
     ]
+    candidates = [elements.normal, *normals, *smooth]
     still = [
-        costs(elements, tables, sky, normal=elements.normal),
+        cost_of(normal=elements.normal),
         of_plane,
-        *(costs(elements, tables, sky, normal=other) for other in normals[1:]),
+        *(cost_of(normal=other) for other in normals[1:]),
         *(costs_of_some(is_metal, elements, tables, sky, each, of_plane) for each in smooth),
     ]
-    fits = torch.stack(
-        [
-            neighbours.pooled((found.cost[row, :, which] + COST_FLOOR).log(), amount, NORMAL_POOL)
-            .min(dim=1)
-            .values
-            for found in still
-        ]
-    )
-    fits[1:] += NORMAL_MARGIN
-    best = fits.argmin(dim=0)
+    best = _best_normals(still, which, neighbours, amount)
     normal = torch.stack(candidates)[best, row]
     cost, albedo_of = (
-        torch.stack([getattr(found, name) for found in still])[best, row] for name in ("cost", "albedo")
+        torch.stack([getattr(each, name) for each in still])[best, row] for name in ("cost", "albedo")
     )
 
     # The width that fits with the normal that stays: where that is wrong, a wide lobe errs least.
     before = trained.alpha[:, 0].clamp(ALPHAS[0], ALPHAS[-1])
-    prior = WIDTH_PRIOR * (widths.log() - before.log()[:, None]).square()
+    prior = WIDTH_PRIOR * (torch.tensor(ALPHAS).log() - before.log()[:, None]).square()
     pooled_still = close.pooled((cost[row, :, which] + COST_FLOOR).log(), amount, 40)
     alpha = _lowest(pooled_still + prior * (~is_metal)[:, None])
     alpha = close.pooled(alpha.log()[:, None], amount, 10)[:, 0].exp()
 
+    # Albedo: of dielectrics between stage two's and the fitted one, of metals what they reflect.
     fitted = albedo_of[row, (pooled_still + prior).argmin(dim=1), 0]
     albedo = _mean(base, fitted)
     albedo = neighbours.among_alike(encoded(albedo), GRAIN).pooled(albedo, amount, GRAIN_STEPS)
     among_metals = Neighbours(wide.index, wide.weight * is_metal[wide.index])
     f0 = among_metals.pooled(turned.albedo[row, level, 1], amount, 4)
-    albedo = torch.where(is_metal[:, None], f0, albedo)
-    return Reflectance(albedo, alpha, metal, normal)
+    return Reflectance(torch.where(is_metal[:, None], f0, albedo), alpha, metal, normal)
+
+
+def _metals(
+    turned: Costs, believed: Float[Tensor, "elements 1"], wide: Neighbours, amount: Float[Tensor, " elements"]
+) -> tuple[Float[Tensor, " elements"], Int[Tensor, " elements"]]:
+    """Return metalness, and the number of the width that fits best as a metal."""
+    count = len(amount)
+    pooled = wide.pooled((turned.cost + COST_FLOOR).log().reshape(count, -1), amount, 40)
+    pooled = pooled.reshape(count, len(ALPHAS), 2)
+    beyond = (torch.tensor(ALPHAS) / WIDE_METAL).log().clamp_min(0.0).square()
+    of_metal = pooled[:, :, 1] + WIDE_METAL_PRIOR * beyond
+    apart = of_metal.min(dim=1).values - pooled[:, :, 0].min(dim=1).values
+    around = wide.pooled(believed, amount, 10)[:, 0]
+    metal = wide.pooled(metalness(apart, around)[:, None], amount, 3)[:, 0]
+    return metal, of_metal.argmin(dim=1)
+
+
+def _smoothed_turns(
+    normal: Float[Tensor, "elements 3"],
+    turned: Costs,
+    level: Int[Tensor, " elements"],
+    neighbours: Neighbours,
+    amount: Float[Tensor, " elements"],
+) -> list[Float[Tensor, "elements 3"]]:
+    """Return normals with the turns that fit metals of the width `level` best, smoothed a little and more."""
+    row = torch.arange(len(normal))
+    moved = tilted(normal, TILTS.moves[turned.tilt[row, level, 1]])
+    sure = amount / (turned.cost[row, level, 1] + 0.002)
+    return [normalize(neighbours.pooled(moved, sure, times)) for times in SMOOTHED]
+
+
+def _best_normals(
+    still: list[Costs],
+    which: Int[Tensor, " elements"],
+    neighbours: Neighbours,
+    amount: Float[Tensor, " elements"],
+) -> Int[Tensor, " elements"]:
+    """Return the number of the candidate normal that fits best around, given the costs with each of them.
+
+    `which` is the hypothesis of each element. The first candidate, the predicted one, has a margin.
+    """
+    row = torch.arange(len(which))
+    fits = torch.stack(
+        [
+            neighbours.pooled((each.cost[row, :, which] + COST_FLOOR).log(), amount, NORMAL_POOL)
+            .min(dim=1)
+            .values
+            for each in still
+        ]
+    )
+    fits[1:] += NORMAL_MARGIN
+    return fits.argmin(dim=0)
 
 
 def metalness(

@@ -51,8 +51,8 @@ class Neighbours:
         both = torch.cat([values * amount[:, None], amount[:, None]], dim=-1).double().numpy()
         for _ in range(times):
             both = step @ both
-        found = torch.from_numpy(both)
-        return (found[:, :-1] / found[:, -1:].clamp_min(1e-12)).to(values.dtype)
+        summed = torch.from_numpy(both)
+        return (summed[:, :-1] / summed[:, -1:].clamp_min(1e-12)).to(values.dtype)
 
     def _step(self) -> csr_matrix:
         count, near = self.index.shape

@@ -27,10 +27,10 @@ def plane_normals(elements: Elements, reach: float = REACH, most: int = MOST) ->
     predicted, places = elements.normal.numpy(), elements.positions.numpy()
     reach = reach * elements.size
     distance, near = cKDTree(places).query(places, min(most, len(places)), distance_upper_bound=reach)
-    found = np.isfinite(distance)
-    near, distance = np.where(found, near, 0), np.where(found, distance, reach)
+    within = np.isfinite(distance)
+    near, distance = np.where(within, near, 0), np.where(within, distance, reach)
     alike = (predicted[near] * predicted[:, None]).sum(axis=-1) > ALIKE
-    weight = np.exp(-0.5 * (2.0 * distance / reach) ** 2) * found * alike
+    weight = np.exp(-0.5 * (2.0 * distance / reach) ** 2) * within * alike
     middle = (weight[..., None] * places[near]).sum(axis=1) / weight.sum(axis=1, keepdims=True)
     offset = places[near] - middle[:, None]
     moments = np.einsum("nk,nki,nkj->nij", weight, offset, offset)

@@ -18,8 +18,8 @@ from flashcache.polish.correction import corrected_albedo
 from flashcache.polish.elements import Elements, find_elements
 from flashcache.polish.gate import LEAST_SHARE, STAGE, blended, gate, rendered
 from flashcache.polish.grey_card import Card, settle_by_card
-from flashcache.polish.incoming import SIDE, incoming_tables
-from flashcache.polish.known_light import judge_by_elements
+from flashcache.polish.incoming import SIDE, IncomingTables, incoming_tables
+from flashcache.polish.known_light import KnownLightVerdict, judge_by_elements
 from flashcache.polish.light import Prediction, Reflectance, fit_light
 from flashcache.polish.materials import choose, smoothed_albedo
 from flashcache.polish.neighbours import Neighbours
@@ -65,6 +65,27 @@ class _Written:
     normal: Float[Tensor, "elements 3"]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surface:
+    """The elements, and what stays the same while materials and light are fitted."""
+
+    elements: Elements
+    seen: Elements
+    """With the photographs of the fit."""
+    checks: Elements
+    """With those that are held out."""
+    tables: IncomingTables
+    trained: Materials
+    """Stage two's."""
+    neighbours: Neighbours
+
+    def stage_two(self) -> Reflectance:
+        """Return what stage two has found, without grain."""
+        trained = self.trained
+        albedo = smoothed_albedo(self.elements, trained, self.neighbours)
+        return Reflectance(albedo, trained.alpha[:, 0], trained.metalness[:, 0], self.elements.normal)
+
+
 def polish(
     model: InverseModel,
     pixels: TrainingPixels,
@@ -80,56 +101,27 @@ def polish(
     inside the long ones; both may raise to end the polish, which leaves the model as it was until the last
     part. With a `card`, albedo and light are brought to what it reflects. Beyond the paper.
     """
-    if model.environment.turns is not None:
-        return PolishReport("the light turns from photograph to photograph")
-    num_lights = len(model.domain.lights)
-    if num_lights > MOST_LIGHTS:
-        return PolishReport(f"there are {num_lights} lights, and at most {MOST_LIGHTS} are taken together")
+    if refusal := _refusal(model):
+        return PolishReport(refusal)
     generator = generator_for(seed, STAGE, 0, "elements", pixels.device)
+    # 1. The surface as elements, with what arrives at each of them.
     with torch.no_grad():
         elements = find_elements(model, pixels, generator)
-        if len(elements) < LEAST_ELEMENTS:
-            return PolishReport(
-                f"only {len(elements)} pieces of surface are seen by two photographs; take more, nearer to "
-                "each other"
-            )
-        if float(elements.clipped.float().mean()) > MOST_CLIPPED:
-            return PolishReport(
-                "nearly all pixels are clipped and say only that it was bright; expose the photographs less"
-            )
+        if refusal := _shortage(elements):
+            return PolishReport(refusal)
         advance(1)
-        tables = incoming_tables(model, elements, num_lights)
+        surface = _surface(model, elements)
         advance(2)
-        sky = environments(model, num_lights)
-        trained = _joined(model, elements)
-        neighbours = Neighbours.of(elements)
-        seen, checks = elements.split()
-        normals = [plane_normals(elements), plane_normals(elements, WIDE_REACH, WIDE_MOST)]
-        values = {"elements": float(len(elements)), "observations": float(len(elements.colour))}
-        learned = not model.environment.known and not model.environment.rotations
-        for number in range(ROUNDS if learned else 1):
-            reflectance = choose(seen, tables, sky, normals, trained, neighbours)
-            pulse()
-            if learned:
-                prediction = Prediction(seen, tables, reflectance, SIDE * FINER)
-                sky, before, after = _refitted(prediction, sky)
-                values |= {f"light_before_{number}": before, f"light_after_{number}": after}
-            advance(3 + number)
+        # 2. Materials and light in turns, by photographs that are not held out.
+        reflectance, sky, values = _fitted(model, surface, advance, pulse)
     if not all(bool(torch.isfinite(part).all()) for part in (*_parts(reflectance), sky)):
         return PolishReport("a fitted value is not finite", values)
-    if model.environment.known and not model.environment.rotations:
-        verdict = judge_by_elements(
-            seen,
-            tables,
-            sky,
-            reflectance,
-            neighbours,
-            known=model.environment.known,
-            refit=lambda prediction: _refitted(prediction, sky)[0],
-        )
+    if verdict := _verdict(model, surface, reflectance, sky):
         values |= {"known_light_error": verdict.error}
         if verdict.contradicted:
             return PolishReport("the photographs contradict the known light", values, verdict.findings)
+    seen, neighbours, learned = surface.seen, surface.neighbours, _learns_light(model)
+    # 3. Networks learn both, and albedo is corrected by what pixels of these networks show.
     light = sky if learned else None
     written = _written(model, elements, reflectance, light, generator, pulse=pulse)
     advance(NUM_PARTS - 3)
@@ -138,36 +130,99 @@ def polish(
         reflectance = corrected_albedo(render, seen, reflectance, neighbours, seed)
     written = _written(model, elements, reflectance, light, generator, before=written, pulse=pulse)
     advance(NUM_PARTS - 2)
+    # 4. Elements fall back to stage two where photographs that were held out contradict the fit.
     with torch.no_grad():
-        kept = gate(model, written.model, pixels, checks, neighbours, seed)
+        kept = gate(model, written.model, pixels, surface.checks, neighbours, seed)
     share = float(kept.share.mean())
     values |= {"error_before": kept.before, "error_fitted": kept.fitted, "fitted_share": share}
     if share < LEAST_SHARE:
         return PolishReport("unseen photographs are explained better without it", values)
     advance(NUM_PARTS - 1)
     if share < 1.0:
-        stage_two = Reflectance(
-            smoothed_albedo(elements, trained, neighbours),
-            trained.alpha[:, 0],
-            trained.metalness[:, 0],
-            elements.normal,
-        )
-        reflectance = blended(stage_two, reflectance, kept.share)
-    findings: tuple[tuple[str, str], ...] = ()
-    factor = None
-    if card is not None:
-        # Last, so that it holds whatever the fit has done; what photographs show hardly changes.
-        settled = settle_by_card(model, card, elements.positions, elements.size, reflectance.albedo, sky)
-        reflectance, sky = replace(reflectance, albedo=settled.albedo), settled.sky
-        values, findings, factor = values | settled.values, settled.findings, settled.factor
+        reflectance = blended(surface.stage_two(), reflectance, kept.share)
+    # 5. The card comes last, so that it holds whatever the fit has done; photographs look hardly different.
+    settled = settle_by_card(model, card, elements.positions, elements.size, reflectance.albedo, sky)
+    reflectance, sky, factor = replace(reflectance, albedo=settled.albedo), settled.sky, settled.factor
     if share < 1.0 or factor is not None:
         light = sky if learned or factor is not None else None
         written = _written(model, elements, reflectance, light, generator, factor, written, pulse=pulse)
-    values["metal_share"] = float((reflectance.metalness > 0.5).float().mean())
-    confidence = confidence_of(seen, tables, sky, reflectance, neighbours)
+    values |= settled.values | {"metal_share": float((reflectance.metalness > 0.5).float().mean())}
+    confidence = confidence_of(seen, surface.tables, sky, reflectance, neighbours)
     model.load_state_dict(written.model.state_dict())
     advance(NUM_PARTS)
-    return PolishReport("", values, findings, confidence)
+    return PolishReport("", values, settled.findings, confidence)
+
+
+def _refusal(model: InverseModel) -> str:
+    """Return why a model is not polished; empty for one that is."""
+    num_lights = len(model.domain.lights)
+    if model.environment.turns is not None:
+        return "the light turns from photograph to photograph"
+    if num_lights > MOST_LIGHTS:
+        return f"there are {num_lights} lights, and at most {MOST_LIGHTS} are taken together"
+    return ""
+
+
+def _shortage(elements: Elements) -> str:
+    """Return why photographs show too little of a surface to fit anything; empty where they show enough."""
+    if len(elements) < LEAST_ELEMENTS:
+        return (
+            f"only {len(elements)} pieces of surface are seen by two photographs; take more, nearer to each "
+            "other"
+        )
+    if float(elements.clipped.float().mean()) > MOST_CLIPPED:
+        return "nearly all pixels are clipped and say only that it was bright; expose the photographs less"
+    return ""
+
+
+def _verdict(
+    model: InverseModel, surface: _Surface, reflectance: Reflectance, sky: Float[Tensor, "lights cells 3"]
+) -> KnownLightVerdict | None:
+    """Return whether photographs contradict the lights that are given; None where none is, or all turn."""
+    known = model.environment.known
+    if not known or model.environment.rotations:
+        return None
+    return judge_by_elements(
+        surface.seen,
+        surface.tables,
+        sky,
+        reflectance,
+        surface.neighbours,
+        known=known,
+        refit=lambda prediction: _refitted(prediction, sky)[0],
+    )
+
+
+def _learns_light(model: InverseModel) -> bool:
+    return not model.environment.known and not model.environment.rotations
+
+
+def _surface(model: InverseModel, elements: Elements) -> _Surface:
+    tables = incoming_tables(model, elements, len(model.domain.lights))
+    return _Surface(elements, *elements.split(), tables, _joined(model, elements), Neighbours.of(elements))
+
+
+def _fitted(
+    model: InverseModel, surface: _Surface, advance: Callable[[int], None], pulse: Callable[[], None]
+) -> tuple[Reflectance, Float[Tensor, "lights cells 3"], dict[str, float]]:
+    """Return materials and light that explain the photographs of the fit, with numbers for the log.
+
+    A light that is given stays as it is, and materials are chosen once.
+    """
+    elements, seen = surface.elements, surface.seen
+    sky = environments(model, len(model.domain.lights))
+    normals = [plane_normals(elements), plane_normals(elements, WIDE_REACH, WIDE_MOST)]
+    values = {"elements": float(len(elements)), "observations": float(len(elements.colour))}
+    learned = _learns_light(model)
+    for number in range(ROUNDS if learned else 1):
+        reflectance = choose(seen, surface.tables, sky, normals, surface.trained, surface.neighbours)
+        pulse()
+        if learned:
+            prediction = Prediction(seen, surface.tables, reflectance, SIDE * FINER)
+            sky, before, after = _refitted(prediction, sky)
+            values |= {f"light_before_{number}": before, f"light_after_{number}": after}
+        advance(3 + number)
+    return reflectance, sky, values
 
 
 def _refitted(
@@ -197,7 +252,7 @@ def _written(
 ) -> _Written:
     """Return a copy of the model that has learned materials and normals of elements, and the light `sky`.
 
-    Normals go on from `before`, which are nearly these, and take less time.
+    Normals continue from `before`, which are nearly these, and take less time.
     """
     polished = copy.deepcopy(model)
     normal, lesson = elements.normal, FIRST

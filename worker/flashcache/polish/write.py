@@ -40,23 +40,23 @@ ASIDE = 0.3
 def write_materials(
     model: InverseModel,
     elements: Elements,
-    found: Reflectance,
+    reflectance: Reflectance,
     generator: torch.Generator,
     factor: Float[Tensor, "3"] | None = None,
     pulse: Callable[[], None] = lambda: None,
 ) -> None:
-    """Replace the material field by one that is taught `found` at the observed points.
+    """Replace the material field by one that is taught `reflectance` at the observed points.
 
-    It begins afresh: what the trained one holds beyond the elements' values is grain. Where opaque pixels are
-    no observations, it is taught what the trained one has there, with its albedo times `factor`. `pulse` is
-    called every `PULSE_STEPS`.
+    It begins afresh: what the trained one holds beyond the elements' values is grain. Where opaque pixels
+    have no observation, it is taught what the trained one has there, with its albedo times `factor`.
+    `pulse` is called every `PULSE_STEPS`.
     """
     device = elements.positions.device
     field = _fresh_field(model, generator).to(device)
     element = elements.element
-    wanted = (found.albedo[element] * elements.detail).clamp(0.004, 0.996).pow(GAMMA)
-    alpha = found.alpha.clamp(1e-3, 0.996)[element, None].sqrt()
-    metal = found.metalness.clamp(0.004, 0.996)[element, None]
+    wanted = (reflectance.albedo[element] * elements.detail).clamp(0.004, 0.996).pow(GAMMA)
+    alpha = reflectance.alpha.clamp(1e-3, 0.996)[element, None].sqrt()
+    metal = reflectance.metalness.clamp(0.004, 0.996)[element, None]
     scale = torch.ones(3, device=device) if factor is None else factor
     rest = elements.rest.reshape(-1, 3)
     known = [model.materials(part) for part in rest.split(1 << 14)]

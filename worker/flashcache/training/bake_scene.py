@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from flashcache.fields.materials import scaled
 from flashcache.geometry.rays import Rays
 from flashcache.physical.brdf import Materials
 from flashcache.physical.incident import RayLimits, SecondaryRays
@@ -69,5 +70,4 @@ class ModelScene:
 
     def materials(self, positions: Float[Tensor, "points 3"]) -> Materials:
         """Return the materials at points, with the albedo ratio applied."""
-        found = self.model.materials(positions)
-        return Materials((found.albedo * self.albedo_ratio).clamp(0.0, 1.0), found.alpha, found.metalness)
+        return scaled(self.model.materials(positions), self.albedo_ratio)

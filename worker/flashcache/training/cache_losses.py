@@ -11,9 +11,9 @@ from torch import Tensor
 from flashcache.caches.nerf_cache import Geometry
 from flashcache.config import StageOneConfig
 from flashcache.data.ray_batches import RayBatch
-from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.normals import normal_consistency, orientation
 from flashcache.losses.photometric import cache_photometric, carving, mask_loss
+from flashcache.losses.priors import grid_decay
 from flashcache.losses.proposal import distortion, interlevel
 from flashcache.losses.shape import emptiness, flatness, recession, tangent_steps
 from flashcache.parallel.ranks import own_count, whole_count

@@ -94,8 +94,8 @@ def load_checkpoint(
 
 def latest_checkpoint(folder: Path) -> Path | None:
     """Return the checkpoint of the highest step below `folder`, or None."""
-    found = [path for path in folder.glob("step_*") if path.suffix == "" and (path / "state.json").is_file()]
-    return max(found, key=lambda path: path.name, default=None)
+    states = [path for path in folder.glob("step_*/state.json") if path.parent.suffix == ""]
+    return max((path.parent for path in states), key=lambda path: path.name, default=None)
 
 
 def checkpoint_folder(folder: Path, step: int) -> Path:
@@ -105,8 +105,8 @@ def checkpoint_folder(folder: Path, step: int) -> Path:
 
 def prune_checkpoints(folder: Path, keep: int) -> None:
     """Remove all but the newest `keep` checkpoints below `folder`."""
-    found = sorted(path for path in folder.glob("step_*") if path.is_dir())
-    for path in found[: max(0, len(found) - keep)]:
+    folders = sorted(path for path in folder.glob("step_*") if path.is_dir())
+    for path in folders[: max(0, len(folders) - keep)]:
         shutil.rmtree(path)
 
 

@@ -115,13 +115,13 @@ class Graphs:
                 self._generators.seed(step)
                 if phase not in self._graphs:
                     self._add(phase, tuple(expected), differentiate, steps)
-            found = self._replay(phase) if phase in self._graphs else None
-        if found is None:
+            replayed = self._replay(phase) if phase in self._graphs else None
+        if replayed is None:
             # With generators of its own: those of a capture that failed are unusable.
             return work()
         if expected is not None:
-            self._compare(phase, expected, found)
-        return {name: value for name, value in found.items() if name != GRADIENT}
+            self._compare(phase, expected, replayed)
+        return {name: value for name, value in replayed.items() if name != GRADIENT}
 
     def forget(self) -> None:
         """Give the graphs and their memory back, where no step so far will come again."""
@@ -150,10 +150,10 @@ class Graphs:
         # A copy: the next step of the phase writes to the same place.
         return dict(zip(self._names[phase], place.clone().unbind(), strict=True))
 
-    def _compare(self, phase: Hashable, expected: Values, found: Values) -> None:
+    def _compare(self, phase: Hashable, expected: Values, replayed: Values) -> None:
         """Give graphs up if a value differs."""
         for name, value in expected.items():
-            pair = torch.as_tensor(found[name]), torch.as_tensor(value)
+            pair = torch.as_tensor(replayed[name]), torch.as_tensor(value)
             if not torch.allclose(*pair, **TOLERANCES, equal_nan=True):
                 self._give_up(f"{name} of {phase} is {pair[0]:.6g} by its graph and {pair[1]:.6g} without")
 

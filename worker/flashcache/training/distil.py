@@ -77,8 +77,8 @@ class Distillation:
         batch = self.pixels.draw(
             self.config.num_points, generator_for(self.seed, STAGE, step, "points", self.pixels.device)
         )
-        found = self.parts.differentiate(batch, step)
-        (mean,) = mean_over_ranks([sum(found) / len(found)])
+        losses = self.parts.differentiate(batch, step)
+        (mean,) = mean_over_ranks([sum(losses) / len(losses)])
         return mean
 
 

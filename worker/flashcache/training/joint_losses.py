@@ -11,10 +11,7 @@ from flashcache.data.ray_batches import RayBatch
 from flashcache.fields.appearance import Appearance
 from flashcache.fields.materials import Materials
 from flashcache.losses.clusters import ClusterConfig, gloss_differences, material_entropy
-from flashcache.losses.consistency import consistency
-from flashcache.losses.environment import grey_prior, tint_prior
 from flashcache.losses.fast_cache import fast_cache_loss
-from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.light_sampler import light_sampler_loss
 from flashcache.losses.metalness import (
     directional_variation,
@@ -22,7 +19,8 @@ from flashcache.losses.metalness import (
     metalness_prior,
     smoothness_prior,
 )
-from flashcache.losses.photometric import cache_photometric, mask_loss, physical_photometric
+from flashcache.losses.photometric import cache_photometric, consistency, mask_loss, physical_photometric
+from flashcache.losses.priors import grey_prior, grid_decay, tint_prior
 from flashcache.losses.smoothness import pseudo_albedo, smoothness
 from flashcache.parallel.ranks import rows_of_all_ranks
 from flashcache.physical.incident import SecondaryRays
@@ -144,8 +142,8 @@ def material_terms(
             hidden = model.nerf.density(nearby).hidden
             moved = model.nerf.appearance(nearby, hidden, points.normal, points.omega_o, points.light_index)
             here, there = (
-                pseudo_albedo(getattr(found, config.pseudo_albedo), found.irradiance)
-                for found in (Appearance(*(part[shaded.index] for part in appearance)), moved)
+                pseudo_albedo(getattr(each, config.pseudo_albedo), each.irradiance)
+                for each in (Appearance(*(part[shaded.index] for part in appearance)), moved)
             )
         terms["smoothness"] = config.smoothness_weight * smoothness(
             shaded.materials,
@@ -164,10 +162,10 @@ def material_terms(
 
 def cluster_terms(config: ClusterConfig, batch: RayBatch, shaded: Shaded) -> Terms:
     """Return the preference for few materials: one point of each ray, since all pairs are compared."""
-    found, first, terms = shaded.materials, slice(len(batch)), {}
-    parts = (found.albedo, found.alpha, found.metalness)
+    own, first, terms = shaded.materials, slice(len(batch)), {}
+    parts = (own.albedo, own.alpha, own.metalness)
     materials = Materials(*(rows_of_all_ranks(part[first]) for part in parts))
-    seen = rows_of_all_ranks((batch.coverage > 0.0).to(found.albedo.dtype))
+    seen = rows_of_all_ranks((batch.coverage > 0.0).to(own.albedo.dtype))
     if config.gloss_weight:
         positions = rows_of_all_ranks(shaded.points.positions[first].detach())
         terms["gloss"] = config.gloss_weight * gloss_differences(materials, positions, seen, config)

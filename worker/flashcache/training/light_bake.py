@@ -19,10 +19,10 @@ from flashcache.caches.fast_cache import FastCache
 from flashcache.config import Rates
 from flashcache.errors import ConfigError
 from flashcache.geometry.directions import facing
-from flashcache.losses.consistency import consistency
+from flashcache.losses.photometric import consistency
 from flashcache.physical.brdf import Materials
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, estimate
-from flashcache.physical.incident import Incident, RadianceSource, RayLimits, SecondaryRays
+from flashcache.physical.incident import Incident, LightSources, RadianceSource, RayLimits, SecondaryRays
 from flashcache.physical.sampling import CosineLobe, GgxLobe, Strategy
 from flashcache.physical.shading import ShadingPoints
 from flashcache.randomness import generator_for
@@ -214,16 +214,16 @@ class LightBake:
         met = self.scene.meet(rays, generator)
         points = _points(met, rays)
         materials = self.scene.materials(points.positions)
-        found = self._shaded(points, materials, self._fast, self.config.fast, generator)
+        radiance = self._shaded(points, materials, self._fast, self.config.fast, generator)
         if self.config.exact.total:
-            found = found + self._shaded(
+            radiance = radiance + self._shaded(
                 points,
                 materials,
                 lambda rays: self._correction(rays, generator),
                 self.config.exact,
                 generator,
             )
-        return met.weight[:, None] * found
+        return met.weight[:, None] * radiance
 
     def _shaded(
         self,
@@ -239,11 +239,9 @@ class LightBake:
         return estimate(
             points,
             materials,
-            source=source,
-            environment=self.light,
+            LightSources(source, self.light, self.scene.limits),
             diffuse=[(CosineLobe(points.normal), counts.cosine), (sampler, counts.sampler)],
             specular=[(lobe, counts.specular - shared), (sampler, shared)],
-            limits=self.scene.limits,
             config=_ESTIMATOR,
             generator=generator,
         ).rgb

@@ -1,4 +1,4 @@
-"""What a trained density leaves empty is ruled out for all that comes after."""
+"""Empty space, as a trained density sees it, is ruled out for all later steps."""
 
 import torch
 from torch import Tensor
@@ -8,7 +8,7 @@ from flashcache.caches.nerf_cache import NerfCache
 LEAST_OPACITY = 0.002
 """Opacity across a cell from which it counts as filled."""
 PLACES = 2
-"""Places along each side of a cell at which the density is asked."""
+"""Places along each side of a cell at which the density is looked up."""
 _CHUNK_CELLS = 1 << 14
 
 
@@ -16,7 +16,7 @@ _CHUNK_CELLS = 1 << 14
 def keep_filled(nerf: NerfCache) -> None:
     """Rule out the cells in which the density is next to nothing, and so in all cells around.
 
-    A density that is next to nothing everywhere rules out none: it has not learned what is there.
+    A density that is next to nothing everywhere rules out none: it has not learned the scene yet.
     """
     occupancy = nerf.occupancy
     if occupancy is None:

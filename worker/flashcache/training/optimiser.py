@@ -39,10 +39,10 @@ def parameter_groups(parts: Iterable[tuple[nn.Module, Rates]]) -> list[dict[str,
     """Return optimiser groups with a `peak` rate each, grids and networks apart, without frozen parts."""
     groups: list[dict[str, Any]] = []
     for module, rates in parts:
-        found = [grid for grid in module.modules() if isinstance(grid, HashGrid)]
-        for grid in found:
+        grid_modules = [grid for grid in module.modules() if isinstance(grid, HashGrid)]
+        for grid in grid_modules:
             grid.in_place_gradient = True  # Training calls nothing but `backward`.
-        grids = {id(grid.table) for grid in found}
+        grids = {id(grid.table) for grid in grid_modules}
         of_grid = [p for p in module.parameters() if id(p) in grids]
         of_network = [p for p in module.parameters() if id(p) not in grids]
         for parameters, peak in ((of_grid, rates.grid), (of_network, rates.network)):
@@ -176,7 +176,7 @@ class Steps:
         """Return the number of skipped steps that were not known of; before a checkpoint, and at the end."""
         if not self._unread:
             return 0
-        found = int(self._skipped)
+        skipped = int(self._skipped)
         self._skipped.zero_()
         self._unread = 0
-        return found
+        return skipped

@@ -106,7 +106,7 @@ class Parts:
     def differentiate(self, batch: RayBatch, step: int) -> list[Any]:
         """Add the gradient of the parts' mean loss to the parameters' gradients; return their results.
 
-        With ranks gradients must be zero before: what is there is added to those of the others.
+        With ranks gradients must be zero before: present values are added to those of the others.
         """
         questions = [(self.of(batch, part), step) for part in range(self.count)]
         with threads_of_operations(self._threads):

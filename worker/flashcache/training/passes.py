@@ -11,6 +11,7 @@ from flashcache.config import StageTwoConfig
 from flashcache.data.ray_batches import RayBatch
 from flashcache.physical.brdf import Materials
 from flashcache.physical.estimator import control_variate
+from flashcache.physical.incident import LightSources
 from flashcache.physical.light_sampler import VmfMixture
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import Estimate, ShadingPoints
@@ -53,12 +54,12 @@ def shade(
     weights = geometry.weights.detach()
     num_rays, num_samples = weights.shape
     if config.points == "depth":
-        found = median_point(weights)
-        draw = PointDraw(found.index.expand(-1, passes), found.weight.expand(-1, passes))
+        drawn = median_point(weights)
+        draw = PointDraw(drawn.index.expand(-1, passes), drawn.weight.expand(-1, passes))
     else:
         u = uniform((num_rays, passes * config.points_per_ray), generator, weights.device)
-        found = draw_points(weights, u)
-        draw = PointDraw(found.index, passes * found.weight)
+        drawn = draw_points(weights, u)
+        draw = PointDraw(drawn.index, passes * drawn.weight)
     row = num_samples * torch.arange(num_rays, device=weights.device)
     index = (draw.index.T + row).reshape(-1)
     repeats = draw.index.shape[-1]
@@ -75,11 +76,13 @@ def shade(
     estimate = control_variate(
         points,
         materials if with_gloss else _gloss_of_metals(materials),
-        nerf=model.nerf_source(generator, jitter=config.secondary_jitter),
-        fast=model.fast_source(),
-        environment=model.environment,
+        LightSources(
+            model.nerf_source(generator, jitter=config.secondary_jitter),
+            model.environment,
+            model.limits,
+            model.fast_source(),
+        ),
         mixture=mixture,
-        limits=model.limits,
         config=config.estimator,
         generator=generator,
         supervise=supervise,

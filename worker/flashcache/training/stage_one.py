@@ -100,9 +100,9 @@ class StageOne:
         generator = generator_for(self.seed, STAGE, step, "rays", self.pixels.device)
         batch = self.pixels.draw(self.config.num_rays, generator)
         self.optimiser.zero_grad(set_to_none=False)
-        found = self.parts.differentiate(batch, step)
-        return mean_terms([of_part for of_part, _ in found]) | {
-            PSNR: masked_psnr(torch.cat([picture for _, picture in found]), batch)
+        results = self.parts.differentiate(batch, step)
+        return mean_terms([of_part for of_part, _ in results]) | {
+            PSNR: masked_psnr(torch.cat([picture for _, picture in results]), batch)
         }
 
 

@@ -61,7 +61,7 @@ def _cache_of(bundle: Bundle, light: str) -> FastCache:
         decoder_widths=(len(decoder[0].bias), len(decoder[1].bias)),
     )
     ends = constants["near"], constants["far"]
-    cache = FastCache(config, constants["contraction_radius"], 1, *ends)
+    cache = FastCache(config, constants["contraction_radius"], 1, ends)
     heads = weights.layer(*(f"fast.{name}_head" for name in ("offset", "gate", "logit", "opacity")))
     layers = {
         **{f"code.layers.{index}": layer for index, layer in enumerate(code)},

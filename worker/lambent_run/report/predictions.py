@@ -20,7 +20,14 @@ import numpy as np
 import torch
 from flashcache.color import srgb_from_linear
 from flashcache.evaluation.metrics import normal_with_background
-from flashcache.evaluation.views import GBuffer, Picture, render_physical, render_relit, render_surface
+from flashcache.evaluation.views import (
+    GBuffer,
+    Picture,
+    PictureSamples,
+    render_physical,
+    render_relit,
+    render_surface,
+)
 from jaxtyping import Float, Float32
 from lambent_core.exr import write_exr
 from lambent_core.files import write_json
@@ -56,9 +63,7 @@ def predict_surfaces(subject: Subject) -> None:
                 picture = render_physical(
                     subject.model,
                     view.camera,
-                    num_directions=subject.request.num_directions,
-                    num_repeats=subject.request.num_repeats,
-                    antialias=subject.request.antialias,
+                    _samples(subject),
                     light=subject.model.light_at(index, view.light_turn),
                     seed=subject.seed,
                     rule=subject.rule,
@@ -83,16 +88,21 @@ def predict_relit(subject: Subject, ratio: tuple[float, float, float]) -> None:
                         subject.model,
                         view.camera,
                         subject.maps[light],
+                        _samples(subject),
                         albedo_ratio=factor,
-                        num_directions=subject.request.num_directions,
-                        num_repeats=subject.request.num_repeats,
-                        antialias=subject.request.antialias,
                         indirect=indirect,
                         seed=subject.seed,
                         rule=subject.rule,
                     )
                     _save_picture(subject, view.name, f"{kind}/{light}", path, picture)
                 subject.advance()
+
+
+def _samples(subject: Subject) -> PictureSamples:
+    request = subject.request
+    return PictureSamples(
+        num_directions=request.num_directions, num_repeats=request.num_repeats, antialias=request.antialias
+    )
 
 
 def predict_uncertainty(subject: Subject) -> None:

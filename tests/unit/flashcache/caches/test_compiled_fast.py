@@ -30,7 +30,7 @@ SHAPES = {
 def trained(config: FastCacheConfig, num_lights: int = 1, **options) -> FastCache:
     """Return a cache whose outputs vary as much as those of a trained one."""
     torch.manual_seed(0)
-    made = FastCache(config, 1.5, num_lights, 0.05, 2.0, **options)
+    made = FastCache(config, 1.5, num_lights, (0.05, 2.0), **options)
     with torch.no_grad():
         for name, parameter in made.named_parameters():
             if name.endswith("table"):

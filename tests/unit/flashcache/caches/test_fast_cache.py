@@ -17,7 +17,7 @@ def cache(num_lights: int = 1) -> FastCache:
         distance_layers=2,
         decoder_widths=(8, 8),
     )
-    return FastCache(config, 1.5, num_lights, NEAR, FAR)
+    return FastCache(config, 1.5, num_lights, (NEAR, FAR))
 
 
 def ask(made: FastCache, light: int = 0) -> FastCacheAnswer:

@@ -6,9 +6,10 @@ import pytest
 import torch
 from flashcache.evaluation.lighting import lit_radiance, sky_sampler
 from flashcache.evaluation.monte_carlo import RenderRule, _by_blocks
-from flashcache.evaluation.views import render_physical, render_relit
+from flashcache.evaluation.views import PictureSamples, render_physical, render_relit
 from flashcache.geometry.directions import direction_from_uv, normalize
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
+from flashcache.physical.incident import LightSources
 from flashcache.physical.model import InverseModel
 from flashcache.physical.sampling import EnvironmentMapSampler
 from flashcache.physical.shading import ShadingPoints
@@ -42,11 +43,10 @@ def test_pictures_have_the_mean_that_training_estimates(model, rule, from_sky):
         expected = control_variate(
             points,
             model.materials(points.positions),
-            nerf=model.nerf_source(generators[1]),
-            fast=model.fast_source(),
-            environment=model.environment,
+            LightSources(
+                model.nerf_source(generators[1]), model.environment, model.limits, model.fast_source()
+            ),
             mixture=mixture,
-            limits=model.limits,
             config=EstimatorConfig(
                 fast=DirectionCounts.split(16),
                 exact=DirectionCounts.split(8),
@@ -129,12 +129,12 @@ def test_points_of_a_pixel_avoid_each_others_directions_in_pictures(model, monke
             return own(*arguments, **settings)
 
         monkeypatch.setattr(module, "relight", noted)
-    view = camera(0.4, 0.3, side=6)
+    view, samples = camera(0.4, 0.3, side=6), PictureSamples(num_directions=16, antialias=2)
     if render == "physical":
-        render_physical(model, view, num_directions=16, antialias=2)
+        render_physical(model, view, samples)
     else:
         sky = torch.ones(8, 16, 3).numpy()
-        render_relit(model, view, sky, num_directions=16, antialias=2, indirect=False)
+        render_relit(model, view, sky, samples, indirect=False)
     assert asked
     assert all(asked)
     assert set(strategies) == {EnvironmentMapSampler}

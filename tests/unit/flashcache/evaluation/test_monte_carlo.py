@@ -5,7 +5,7 @@ import pytest
 import torch
 from flashcache.errors import ConfigError
 from flashcache.evaluation.monte_carlo import RenderRule, Spread, variance_of_mean
-from flashcache.evaluation.views import render_physical, render_relit
+from flashcache.evaluation.views import PictureSamples, render_physical, render_relit
 from support.lit_sphere import camera
 from support.sphere_model import sphere_model
 from support.statistics import assert_mean
@@ -100,7 +100,7 @@ def test_the_predicted_variance_of_a_physical_picture_is_not_less_than_the_obser
     assert_not_less(
         *pairs_of(
             lambda seed: render_physical(
-                model, CAMERA, num_directions=16, num_repeats=2, seed=seed, rule=rule
+                model, CAMERA, PictureSamples(num_directions=16, num_repeats=2), seed=seed, rule=rule
             )
         )
     )
@@ -111,10 +111,10 @@ def test_the_predicted_variance_of_a_physical_picture_is_not_less_than_the_obser
 def test_the_predicted_variance_of_a_relit_picture_is_not_less_than_the_observed_one(
     model, shadows, antialias
 ):
-    settings = {"num_directions": 16, "num_repeats": 2, "antialias": antialias}
+    samples = PictureSamples(num_directions=16, num_repeats=2, antialias=antialias)
     rule = RenderRule(shadows=shadows)
     assert_not_less(
-        *pairs_of(lambda seed: render_relit(model, CAMERA, SKY, seed=seed, rule=rule, **settings)),
+        *pairs_of(lambda seed: render_relit(model, CAMERA, SKY, samples, seed=seed, rule=rule)),
         at_most=4.0,
     )
 
@@ -122,14 +122,14 @@ def test_the_predicted_variance_of_a_relit_picture_is_not_less_than_the_observed
 @pytest.mark.slow
 def test_one_repeat_does_not_promise_less_noise_than_there_is(model):
     predicted, observed = pairs_of(
-        lambda seed: render_relit(model, CAMERA, SKY, num_directions=16, num_repeats=1, seed=seed)
+        lambda seed: render_relit(model, CAMERA, SKY, PictureSamples(num_directions=16), seed=seed)
     )
     assert_not_less(predicted, observed, at_most=np.inf)
 
 
 def test_a_picture_needs_a_repeat_and_a_point(model):
     with pytest.raises(ConfigError, match="at least one repeat"):
-        render_physical(model, CAMERA, num_repeats=0)
+        render_physical(model, CAMERA, PictureSamples(num_repeats=0))
 
 
 def test_a_model_without_a_trained_fast_cache_casts_shadows_with_the_nerf_cache():
@@ -154,8 +154,7 @@ def test_shading_at_one_depth_uses_the_same_point_every_time(model, monkeypatch)
         model,
         CAMERA,
         shade,
-        num_repeats=2,
-        points_per_ray=3,
+        PictureSamples(num_repeats=2),
         light=0,
         seed=0,
         purpose="test",

@@ -5,8 +5,14 @@ import pytest
 from flashcache.config import with_overrides
 from flashcache.errors import ConfigError
 from flashcache.evaluation.gbuffer import GBuffer, render_gbuffer
-from flashcache.evaluation.monte_carlo import Picture
-from flashcache.evaluation.supersampling import finer, mean_gbuffer, mean_picture, points_per_ray
+from flashcache.evaluation.supersampling import (
+    Picture,
+    PictureSamples,
+    finer,
+    mean_gbuffer,
+    mean_picture,
+    points_per_ray,
+)
 from flashcache.evaluation.views import render_physical, render_relit, render_surface
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
@@ -80,9 +86,9 @@ def test_one_ray_per_pixel_is_the_picture_without_supersampling(model):
     assert np.array_equal(plain.normal, same.normal)
 
 
-@pytest.mark.parametrize("render", [render_physical, lambda *a, **k: render_relit(*a[:2], SKY, **k)])
-def test_pictures_keep_their_size_and_their_mean(model, render):
-    coarse, fine = (render(model, CAMERA, num_directions=64, num_repeats=4, antialias=n) for n in (1, 2))
+@pytest.mark.parametrize(("render", "light"), [(render_physical, []), (render_relit, [SKY])])
+def test_pictures_keep_their_size_and_their_mean(model, render, light):
+    coarse, fine = (render(model, CAMERA, *light, PictureSamples(num_repeats=4, antialias=n)) for n in (1, 2))
     assert coarse.rgb.shape == fine.rgb.shape == (CAMERA.height, CAMERA.width, 3)
     inside = np.minimum(coarse.opacity, fine.opacity)[..., 0] > 0.99
     noise = np.hypot(coarse.standard_error[inside], fine.standard_error[inside])
@@ -100,7 +106,7 @@ def test_secondary_rays_are_counted_per_pixel(model, monkeypatch):
     spent = []
     for antialias in (1, 2):
         asked.clear()
-        opacity = render_relit(model, CAMERA, SKY, num_directions=64, antialias=antialias).opacity
+        opacity = render_relit(model, CAMERA, SKY, PictureSamples(antialias=antialias)).opacity
         # Rays below the horizon are not asked, so that about half of the 64 per covered pixel are.
         spent.append(sum(asked) / opacity.sum())
     assert spent[1] == pytest.approx(spent[0], rel=0.2)

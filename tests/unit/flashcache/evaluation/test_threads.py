@@ -6,7 +6,7 @@ import pytest
 import torch
 from flashcache.evaluation import gbuffer, monte_carlo
 from flashcache.evaluation.threads import on_all_cores
-from flashcache.evaluation.views import render_gbuffer, render_physical
+from flashcache.evaluation.views import PictureSamples, render_gbuffer, render_physical
 from support.lit_sphere import camera
 from support.sphere_model import sphere_model
 
@@ -49,9 +49,8 @@ def test_pictures_are_the_same_for_any_number_of_threads(monkeypatch):
     found, before = [], torch.get_num_threads()
     for count in (1, 3):
         torch.set_num_threads(count)
-        found.append(
-            (render_physical(model, view, num_directions=8).rgb, render_gbuffer(model, view).cache_rgb)
-        )
+        physical = render_physical(model, view, PictureSamples(num_directions=8))
+        found.append((physical.rgb, render_gbuffer(model, view).cache_rgb))
     torch.set_num_threads(before)
     for one, three in zip(*found, strict=True):
         assert one.any()

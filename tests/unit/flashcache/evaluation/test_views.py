@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from flashcache.evaluation.views import render_gbuffer, render_physical, render_relit
+from flashcache.evaluation.views import PictureSamples, render_gbuffer, render_physical, render_relit
 from flashcache.physical.model import Domain, InverseModel
 from flashcache.presets import tiny
 from support.lit_sphere import camera, lit_sphere
@@ -45,12 +45,13 @@ def test_rays_that_miss_the_scenes_box_are_empty_and_face_up(model: InverseModel
     away = replace(CAMERA, camera_to_world=CAMERA.camera_to_world @ np.diag([1.0, -1.0, -1.0, 1.0]))
     found = render_gbuffer(model, away)
     assert not found.opacity.any()
-    assert not render_physical(model, away, num_directions=8).rgb.any()
+    assert not render_physical(model, away, PictureSamples(num_directions=8)).rgb.any()
     assert (found.normal == [0.0, 0.0, 1.0]).all()
 
 
 def test_a_seed_repeats_a_picture_and_another_one_does_not(model: InverseModel):
-    pictures = [render_physical(model, CAMERA, num_directions=8, seed=seed).rgb for seed in (0, 0, 1)]
+    samples = PictureSamples(num_directions=8)
+    pictures = [render_physical(model, CAMERA, samples, seed=seed).rgb for seed in (0, 0, 1)]
     assert np.array_equal(pictures[0], pictures[1])
     assert not np.array_equal(pictures[0], pictures[2])
 
@@ -59,7 +60,8 @@ def test_repeats_lower_the_standard_error_as_their_root(model: InverseModel):
     """In the mean of its square, over several seeds: that of two repeats alone differs by a third."""
 
     def squared(num_repeats: int, seed: int) -> float:
-        found = render_physical(model, CAMERA, num_directions=8, num_repeats=num_repeats, seed=seed)
+        samples = PictureSamples(num_directions=8, num_repeats=num_repeats)
+        found = render_physical(model, CAMERA, samples, seed=seed)
         return float((found.standard_error**2).mean())
 
     few = np.mean([squared(2, seed) for seed in range(12)])
@@ -67,5 +69,6 @@ def test_repeats_lower_the_standard_error_as_their_root(model: InverseModel):
 
 
 def test_relit_pictures_are_proportional_to_the_light(model: InverseModel):
-    dim, bright = (render_relit(model, CAMERA, level * SKY, num_directions=8).rgb for level in (1.0, 2.0))
+    samples = PictureSamples(num_directions=8)
+    dim, bright = (render_relit(model, CAMERA, level * SKY, samples).rgb for level in (1.0, 2.0))
     np.testing.assert_allclose(bright, 2.0 * dim, rtol=1e-3, atol=1e-5)

@@ -1,4 +1,4 @@
-"""What is said of inputs and outputs, in graphs and in the reference."""
+"""The sentences on inputs and outputs are the same in graphs and in the reference."""
 
 import re
 from pathlib import Path

@@ -7,7 +7,7 @@ import torch
 from flashcache.config import Config, DistilConfig
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.evaluation.gbuffer import render_gbuffer
-from flashcache.evaluation.views import render_physical, render_relit
+from flashcache.evaluation.views import PictureSamples, render_physical, render_relit
 from flashcache.kernels import dispatch, reference
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
@@ -79,16 +79,17 @@ def test_pictures_of_the_same_model_agree_with_the_processors():
     camera = SCENE.train[0].camera
     here = render_gbuffer(model, camera)
     light = torch.rand(8, 16, 3, generator=torch.Generator().manual_seed(1)).numpy()
-    physical = render_physical(model, camera, num_directions=16, num_repeats=4)
-    relit = render_relit(model, camera, light, num_directions=16, num_repeats=4)
+    samples = PictureSamples(num_directions=16, num_repeats=4)
+    physical = render_physical(model, camera, samples)
+    relit = render_relit(model, camera, light, samples)
     there = model.to(CUDA)
     buffer = render_gbuffer(there, camera)
     for name in ("opacity", "distance", "normal", "albedo", "cache_rgb"):
         ours, theirs = torch.tensor(getattr(buffer, name)), torch.tensor(getattr(here, name))
         torch.testing.assert_close(ours, theirs, rtol=1e-3, atol=1e-3)
     for wanted, found in (
-        (physical, render_physical(there, camera, num_directions=16, num_repeats=4)),
-        (relit, render_relit(there, camera, light, num_directions=16, num_repeats=4)),
+        (physical, render_physical(there, camera, samples)),
+        (relit, render_relit(there, camera, light, samples)),
     ):
         # Generators of the two devices draw different numbers: the means differ by their noise.
         noise = (wanted.standard_error**2 + found.standard_error**2).mean() / wanted.rgb[..., 0].size / 3

@@ -1,4 +1,4 @@
-"""Which backend answers, and what takes part in differentiation."""
+"""The choice of the backend, and the part of each in differentiation."""
 
 import importlib
 import os

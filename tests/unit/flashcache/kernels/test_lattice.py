@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from flashcache.kernels.lattice import MAX_COORDINATE, MULTIPLIERS
+from flashcache.kernels.layout import MAX_COORDINATE, MULTIPLIERS
 
 # Checkpoints and bundles were written with these; a better pair would make them unreadable.
 SHORTEST_SQUARED = {12: 310, 13: 494, 14: 794, 15: 1253, 16: 2014, 17: 3198, 18: 5051, 19: 8000}

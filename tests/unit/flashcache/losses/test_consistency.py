@@ -1,5 +1,5 @@
 import torch
-from flashcache.losses.consistency import consistency
+from flashcache.losses.photometric import consistency
 from support.statistics import assert_mean
 
 

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from flashcache.losses.environment import grey_prior, tint_prior
+from flashcache.losses.priors import grey_prior, tint_prior
 from flashcache.training.joint_losses import environment_terms
 from support.joint_stage import stage
 

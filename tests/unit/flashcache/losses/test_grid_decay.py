@@ -1,6 +1,6 @@
 import torch
 from flashcache.encoding.hash_grid import HashGrid, HashGridConfig
-from flashcache.losses.grid_decay import grid_decay
+from flashcache.losses.priors import grid_decay
 
 
 def levels(made: HashGrid) -> list[torch.Tensor]:

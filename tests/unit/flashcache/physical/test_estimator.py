@@ -1,11 +1,18 @@
-"""What an estimate asks of the caches, and what it hands to the losses."""
+"""The rays on which an estimate calls the caches, and what it hands to the losses."""
 
 import pytest
 import torch
 from flashcache.errors import ConfigError
 from flashcache.physical.brdf import Materials
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
-from flashcache.physical.incident import Incident, RayLimits, SecondaryRays, unoccluded, visibility_only
+from flashcache.physical.incident import (
+    Incident,
+    LightSources,
+    RayLimits,
+    SecondaryRays,
+    unoccluded,
+    visibility_only,
+)
 from flashcache.physical.light_sampler import VmfMixture
 from flashcache.physical.sampling import CosineLobe
 from support.shading import LIMITS, blurred, case, environment, nerf, peaked_mixture, reflected, unit
@@ -18,7 +25,7 @@ def _counts(cosine: int, sampler: int, specular: int) -> DirectionCounts:
 
 
 class _Recorder:
-    """A source that remembers how it was asked."""
+    """A source that remembers how it was called."""
 
     def __init__(self, source) -> None:
         self.source = source
@@ -40,11 +47,8 @@ def _ask(given, config: EstimatorConfig, fast_source=blurred):
     result = control_variate(
         given.points,
         given.materials,
-        nerf=near,
-        fast=quick,
-        environment=light,
+        LightSources(near, light, LIMITS, quick),
         mixture=peaked_mixture(given.rows, unit(0.5, -0.1, 0.8)),
-        limits=LIMITS,
         config=config,
         generator=torch.Generator().manual_seed(1),
     )
@@ -149,11 +153,8 @@ def test_the_fast_cache_alone_learns_from_exact_rays_that_do_not_count(supervise
     result = control_variate(
         given.points,
         given.materials,
-        nerf=bright,
-        fast=quick,
-        environment=environment,
+        LightSources(bright, environment, LIMITS, quick),
         mixture=peaked_mixture(given.rows, unit(0.5, -0.1, 0.8)),
-        limits=LIMITS,
         config=config,
         generator=torch.Generator().manual_seed(1),
         supervise=supervise,
@@ -214,16 +215,16 @@ def test_exact_directions_know_their_radiance_point_and_half():
 
 
 def test_every_point_is_lit_by_its_own_light():
+    def own_light(directions, light):
+        return light[:, None].double().expand(-1, 3)
+
     given = case(6)
     points = given.points._replace(light_index=torch.tensor([0, 1, 2, 2, 1, 0]))
     result = control_variate(
         points,
         given.materials,
-        nerf=unoccluded,
-        fast=unoccluded,
-        environment=lambda directions, light: light[:, None].double().expand(-1, 3),
+        LightSources(unoccluded, own_light, LIMITS, unoccluded),
         mixture=None,
-        limits=LIMITS,
         config=EstimatorConfig(sampler="none"),
         generator=torch.Generator().manual_seed(1),
     )
@@ -257,11 +258,8 @@ def test_contributions_that_are_not_numbers_or_too_large_are_kept_out():
     result = control_variate(
         given.points,
         given.materials,
-        nerf=broken,
-        fast=broken,
-        environment=lambda directions, _: torch.zeros_like(directions),
+        LightSources(broken, lambda directions, _: torch.zeros_like(directions), LIMITS, broken),
         mixture=None,
-        limits=LIMITS,
         config=EstimatorConfig(control_variate="off", sampler="none"),
         generator=torch.Generator().manual_seed(1),
     )
@@ -276,11 +274,8 @@ def test_estimates_are_made_on_the_device_of_the_points(device):
     found = control_variate(
         points,
         materials,
-        nerf=nerf,
-        fast=blurred,
-        environment=environment,
+        LightSources(nerf, environment, LIMITS, blurred),
         mixture=VmfMixture(*(values.to(device) for values in vars(mixture).values())),
-        limits=LIMITS,
         config=EstimatorConfig(fast=_counts(2, 2, 4), exact=_counts(1, 1, 2), stratified=True),
         generator=torch.Generator(device).manual_seed(5),
         with_variance=True,

@@ -18,7 +18,7 @@ from flashcache.fields.appearance import AppearanceField
 from flashcache.geometry.directions import look_up
 from flashcache.physical.brdf import Materials
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
-from flashcache.physical.incident import Incident
+from flashcache.physical.incident import Incident, LightSources
 from flashcache.physical.light_sampler import LightSampler
 from flashcache.physical.model import InverseModel
 from flashcache.physical.shading import ShadingPoints
@@ -53,7 +53,7 @@ def known_environment(turns: LightTurns) -> Environment:
 def fast_cache(turns: LightTurns | None, *, width: int = 12) -> FastCache:
     torch.manual_seed(0)
     made = FastCache(
-        replace(CONFIG.fast, decoder_widths=(width, width)), 1.0, 1, LIMITS.near, LIMITS.far, turns=turns
+        replace(CONFIG.fast, decoder_widths=(width, width)), 1.0, 1, (LIMITS.near, LIMITS.far), turns=turns
     )
     with torch.no_grad():
         made.feature_grid.table.normal_(std=0.5)
@@ -102,11 +102,10 @@ def test_estimates_under_a_turned_light_agree_with_quadrature(light, mode):
         estimate = control_variate(
             given.points,
             given.materials,
-            nerf=nerf,
-            fast=lambda rays: fast(rays.origins, rays.directions, rays.light_index),
-            environment=environment,
+            LightSources(
+                nerf, environment, LIMITS, lambda rays: fast(rays.origins, rays.directions, rays.light_index)
+            ),
             mixture=sampler(given.points.positions, given.points.light_index),
-            limits=LIMITS,
             config=EstimatorConfig(fast=counts, exact=counts, control_variate=mode),
             generator=torch.Generator().manual_seed(0),
         )

@@ -155,7 +155,7 @@ def test_black_and_clipped_things_keep_the_priors_widths(glossy):
 
 
 def test_what_says_nothing_of_gloss_and_metal_keeps_the_width_of_each(glossy):
-    """The two widths differ here, so that neither can be told as the other."""
+    """The two widths differ here, so that neither can be taken for the other."""
     priors = Priors(metalness=0.1, perceptual_roughness=0.5)
     unseen = glossy.of(torch.zeros(len(glossy.element), dtype=torch.bool))
     found = confidence_of(

@@ -1,4 +1,4 @@
-"""A wrong light is told from a right one by the noise of the photographs, whatever that is."""
+"""A wrong light differs from a right one by more than the noise of the photographs, whatever that is."""
 
 import math
 from dataclasses import replace

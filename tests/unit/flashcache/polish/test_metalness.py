@@ -1,4 +1,4 @@
-"""Which surface elements are metal: by what fits, and by what stage two says where both fit nearly alike."""
+"""Metal elements: by what fits, and by what stage two says where both fit nearly alike."""
 
 import pytest
 import torch

@@ -1,4 +1,4 @@
-"""How often a polish looks around: for a stop, and for a preview."""
+"""A polish pulses every few seconds: for a stop, and for a preview."""
 
 import copy
 from itertools import groupby

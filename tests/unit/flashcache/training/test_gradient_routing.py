@@ -1,4 +1,4 @@
-"""Which loss of stage two moves which part of the model, term by term."""
+"""Each loss of stage two moves the parts of the model that it should, term by term."""
 
 from dataclasses import replace
 

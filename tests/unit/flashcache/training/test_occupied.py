@@ -1,4 +1,4 @@
-"""After stage one, cells that the density leaves empty are ruled out; nothing that is there gets lost."""
+"""After stage one, cells that the density leaves empty are ruled out; nothing else gets lost."""
 
 import torch
 from flashcache.geometry.rays import Rays

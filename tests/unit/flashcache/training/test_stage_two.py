@@ -1,4 +1,4 @@
-"""What stage two does with its two passes, and that it finds materials which are known."""
+"""The two passes of stage two are independent, and it finds materials which are known."""
 
 from dataclasses import replace
 

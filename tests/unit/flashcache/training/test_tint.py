@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 from flashcache.data.ray_batches import TrainingPixels
-from flashcache.losses.environment import tint_prior
+from flashcache.losses.priors import tint_prior
 from flashcache.physical.model import InverseModel
 from flashcache.presets import tiny
 from flashcache.training.stage_two import StageTwo

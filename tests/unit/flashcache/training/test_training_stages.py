@@ -7,8 +7,8 @@ import torch
 from flashcache.config import Config, DistilConfig
 from flashcache.data.ray_batches import TrainingPixels
 from flashcache.errors import TrainingError
-from flashcache.losses.grid_decay import grid_decay
 from flashcache.losses.metalness import MetalnessPriorConfig
+from flashcache.losses.priors import grid_decay
 from flashcache.losses.shape import ShapePriorConfig
 from flashcache.physical.model import InverseModel
 from flashcache.presets import PRESETS, preset, tiny
