@@ -5,9 +5,11 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from jaxtyping import Float64
 from lambent_core.errors import SceneRefusedError, UsageError
-from lambent_core.layouts import LAYOUTS, PHOTOGRAPHS
+from lambent_core.layouts import LAYOUTS, PHOTOGRAPHS, Layout
 from lambent_proto.v1 import scene_pb2
+from numpy import ndarray
 
 from lambent_capture.layouts import camera_places, photographs
 from lambent_capture.layouts.mask_folder import attach_masks, attach_masks_beside
@@ -66,39 +68,11 @@ def collect_scene(
     `broken` says what is wrong with pictures that cannot be decoded. In tolerant layouts frames whose
     pictures are missing or broken are left out with a note, as long as they are few.
     """
-    require_layout(layout)
-    if not folder.is_dir():
-        problems.error(
-            "scene.folder_missing", f'"{folder.name}" is not a folder; give the folder of a capture'
-        )
-        return None
-    layout = layout or detect_layout(folder)
-    if layout is None and not refuse_links(folder, problems):
-        return None
-    if layout is None and not note_only_unread(folder, problems):
-        return None
-    if layout is None:
-        looked_for = "; ".join(f"{known.looks_like} ({name})" for name, known in LAYOUTS.items())
-        problems.error(
-            "scene.layout_unknown",
-            f"none of these was found: {looked_for}; see docs/howto/own-photographs.md",
-        )
+    layout = _readable_layout(folder, layout, problems)
+    capture = None if layout is None else _read_capture(folder, layout, problems, cameras)
+    if layout is None or capture is None:
         return None
     known = LAYOUTS[layout]
-    if not known.tolerant and not refuse_links(folder, problems):
-        return None
-    if known.finds_cameras:
-        capture = photographs.read_capture(folder, problems, cameras)
-        if cameras is None:
-            camera_places.note_passed_over(folder, problems)
-    elif known.nested:
-        place = camera_places.place_of(folder, layout)
-        capture = reader_of(layout).read_capture(folder, problems, place)
-        camera_places.note_deeper(place, layout, problems)
-    else:
-        capture = reader_of(layout).read_capture(folder, problems)
-    if known.nested and not settle_linked(folder, problems):
-        return None
     capture.frames = without_pictures(capture.frames, broken, problems)
     if known.tolerant:
         capture.other_files |= settle_lost(capture.frames, problems)
@@ -108,15 +82,10 @@ def collect_scene(
         if problems.usable:
             check_rig([], problems)
         return None
-    if not capture.has_cameras:
-        return _without_cameras(folder, capture, problems, masks)
-    hold_out(capture.frames)
+    if capture.has_cameras:
+        hold_out(capture.frames)
     check_names(capture.frames, problems)
-    if problems.usable:  # else a picture may be left over because its camera is what is wrong
-        report_extra_files(folder, capture.frames, capture.other_files, problems)
-    moved = np.eye(4) if known.fixed_world else bring_near(capture, problems)
-    check_rig(capture.frames, problems, found_here=known.finds_cameras)
-    set_exposures(folder, capture.frames, capture.exposures, problems)
+    moved = _check_cameras(folder, capture, known, problems) if capture.has_cameras else np.eye(4)
     manifest = scene_pb2.SceneManifest(
         schema_version=SCHEMA_VERSION,
         name=capture.name,
@@ -129,7 +98,7 @@ def collect_scene(
         manifest.world_from_capture[:] = moved.ravel().tolist()
     if masks is not None:
         attach_masks(manifest, folder, masks, problems)
-    if problems.usable:
+    if capture.has_cameras and problems.usable:
         if not capture.up_is_z:
             stand_upright(manifest, problems, capture.up)
         set_extent(manifest, capture)
@@ -137,20 +106,53 @@ def collect_scene(
     return manifest
 
 
-def _without_cameras(
-    folder: Path, capture: Capture, problems: Problems, masks: Path | None
-) -> scene_pb2.SceneManifest:
-    check_names(capture.frames, problems)
-    manifest = scene_pb2.SceneManifest(
-        schema_version=SCHEMA_VERSION,
-        name=capture.name,
-        layout=PHOTOGRAPHS,
-        lights=capture.lights,
-        frames=capture.frames,
-    )
-    if masks is not None:
-        attach_masks(manifest, folder, masks, problems)
-    return manifest
+def _readable_layout(folder: Path, layout: str | None, problems: Problems) -> str | None:
+    """Return the layout of a folder, or None after noting why nothing in it can be read."""
+    require_layout(layout)
+    if not folder.is_dir():
+        problems.error(
+            "scene.folder_missing", f'"{folder.name}" is not a folder; give the folder of a capture'
+        )
+        return None
+    layout = layout or detect_layout(folder)
+    tolerant = layout is not None and LAYOUTS[layout].tolerant
+    if not tolerant and not refuse_links(folder, problems):
+        return None
+    if layout is None and note_only_unread(folder, problems):
+        looked_for = "; ".join(f"{known.looks_like} ({name})" for name, known in LAYOUTS.items())
+        problems.error(
+            "scene.layout_unknown",
+            f"none of these was found: {looked_for}; see docs/howto/own-photographs.md",
+        )
+    return layout
+
+
+def _read_capture(folder: Path, layout: str, problems: Problems, cameras: Path | None) -> Capture | None:
+    """Return what the reader of a layout makes of a folder; None where it needs files behind links out."""
+    known = LAYOUTS[layout]
+    if known.finds_cameras:
+        capture = photographs.read_capture(folder, problems, cameras)
+        if cameras is None:
+            camera_places.note_passed_over(folder, problems)
+    elif known.nested:
+        place = camera_places.place_of(folder, layout)
+        capture = reader_of(layout).read_capture(folder, problems, place)
+        camera_places.note_deeper(place, layout, problems)
+    else:
+        capture = reader_of(layout).read_capture(folder, problems)
+    return None if known.nested and not settle_linked(folder, problems) else capture
+
+
+def _check_cameras(
+    folder: Path, capture: Capture, known: Layout, problems: Problems
+) -> Float64[ndarray, "4 4"]:
+    """Check the cameras of a capture together, after bringing them near the origin by the returned matrix."""
+    if problems.usable:  # else a picture may be left over because its camera is what is wrong
+        report_extra_files(folder, capture.frames, capture.other_files, problems)
+    moved = np.eye(4) if known.fixed_world else bring_near(capture, problems)
+    check_rig(capture.frames, problems, found_here=known.finds_cameras)
+    set_exposures(folder, capture.frames, capture.exposures, problems)
+    return moved
 
 
 def describe_scene(

@@ -9,6 +9,7 @@
 Frames are named by camera; poses are camera-to-world with OpenCV axes (x right, y down, z forward).
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ PAPER_LIGHTS = ("013", "011", "009")
 """The light of single-light training first, then those that multi-light training adds."""
 
 _TRAIN = "output/transforms_train.json"
+_TESTS = ("output/transforms_test.json", "output/transforms_val.json")
 
 
 def is_layout(folder: Path) -> bool:
@@ -62,35 +64,9 @@ def read_capture(folder: Path, problems: Problems) -> Capture:
     capture.lights += sorted(lights - set(capture.lights))
     # Whatever is not trained on is relit to; see lights.select_lights.
     capture.relight_lights = list(capture.lights)
-    splits = [(_TRAIN, scene_pb2.SPLIT_TRAIN, "com_masks")]
-    for name in ("output/transforms_test.json", "output/transforms_val.json"):
-        if (folder / base / name).is_file():
-            splits.append((name, scene_pb2.SPLIT_TEST, "obj_masks"))
-            break
     seen: set[str] = set()
-    for name, split, masks in splits:
-        transforms = read_json_object(folder, base + name, problems)
-        if transforms is None:
-            continue
-        frames = transforms.get("frames")
-        if not isinstance(frames, dict):
-            problems.error(
-                "scene.metadata_unreadable",
-                f'{base}{name} has no "frames" by camera name; copy it from the data set again',
-                base + name,
-            )
-            continue
-        for camera, entry in sorted(frames.items()):
-            subject = f'{base}{name} frame "{camera[:100]}"'
-            if camera in seen:
-                problems.error(
-                    "scene.frame_duplicate",
-                    f"{subject} is in the other split already; it can only be in one",
-                    camera,
-                )
-                continue
-            seen.add(camera)
-            settings = {**transforms, **entry} if isinstance(entry, dict) else {}
+    for name, split, masks in _splits(folder, base):
+        for camera, subject, settings in _entries(folder, base + name, seen, problems):
             frame = _read_frame(folder, base, camera, settings, capture.lights, subject, problems)
             if frame is None:
                 continue
@@ -112,6 +88,41 @@ def read_capture(folder: Path, problems: Problems) -> Capture:
         f"{base}output/{kind}/{name}.png" for name in seen for kind in ("com_masks", "obj_masks")
     }
     return capture
+
+
+def _splits(folder: Path, base: str) -> Iterator[tuple[str, scene_pb2.Split, str]]:
+    """Yield the files of cameras with their split and the folder of their masks."""
+    yield _TRAIN, scene_pb2.SPLIT_TRAIN, "com_masks"
+    tested = [name for name in _TESTS if (folder / base / name).is_file()]
+    yield from ((name, scene_pb2.SPLIT_TEST, "obj_masks") for name in tested[:1])
+
+
+def _entries(
+    folder: Path, name: str, seen: set[str], problems: Problems
+) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield each camera of a file that is not in `seen`, how to call it in messages, and its settings."""
+    transforms = read_json_object(folder, name, problems)
+    if transforms is None:
+        return
+    frames = transforms.get("frames")
+    if not isinstance(frames, dict):
+        problems.error(
+            "scene.metadata_unreadable",
+            f'{name} has no "frames" by camera name; copy it from the data set again',
+            name,
+        )
+        return
+    for camera, entry in sorted(frames.items()):
+        subject = f'{name} frame "{camera[:100]}"'
+        if camera in seen:
+            problems.error(
+                "scene.frame_duplicate",
+                f"{subject} is in the other split already; it can only be in one",
+                camera,
+            )
+            continue
+        seen.add(camera)
+        yield camera, subject, {**transforms, **entry} if isinstance(entry, dict) else {}
 
 
 def _object_folders(folder: Path) -> list[Path]:

@@ -9,20 +9,25 @@ colours.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Int, Int8, Int32, UInt8
 from numpy import ndarray
+from PIL import Image
 from scipy import ndimage
 
 from lambent_capture.checks.picture_camera import PictureCamera
 from lambent_capture.masks import evidence
 from lambent_capture.masks.lattice import SCENE, Frame, Lattice, main_parts
+from lambent_capture.pictures.resample import reduced_size
 
 _AS_LIKELY = 0.25
 """How much smaller the sum of a cell may be than the best behind a marked pixel for it to be solid, too; log
 odds for each view of the capture."""
 _BORDER = 2
 """Pixels along the border that are background by definition."""
+_LEAST_CELLS = 50
+"""Fewer solid cells than this are no object."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -74,23 +79,36 @@ class MaskView:
     image_srgb: UInt8[ndarray, "height width 3"]
     camera: PictureCamera
 
+    def averaged(self, side: int) -> "MaskView":
+        """Return the view with its longer side at most `side` pixels, each the mean over its area."""
+        scale = min(1.0, side / max(self.camera.width, self.camera.height))
+        size = (max(1, round(scale * self.camera.width)), max(1, round(scale * self.camera.height)))
+        picture = cv2.resize(self.image_srgb, size, interpolation=cv2.INTER_AREA)
+        return MaskView(self.name, picture, self.camera.resized(*size))
 
-@dataclass(frozen=True, slots=True)
+    def box_averaged(self, side: int) -> "MaskView":
+        """Return the view reduced to `side` by Pillow, which rounds otherwise than `averaged`."""
+        size = reduced_size(self.camera.width, self.camera.height, side)
+        picture = Image.fromarray(self.image_srgb).resize(size, Image.Resampling.BOX)
+        return MaskView(self.name, np.asarray(picture), self.camera.resized(*size))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Given:
-    """What is known before the views are compared: evidence of other kinds, and where an object can be."""
+    """Knowledge from before the views are compared: evidence of other kinds, and where an object can be."""
 
-    odds: Sequence[Float[ndarray, "height width"]]
-    """Added to what colours say in each view, log odds at the size of its picture."""
-    known: evidence.Known
-    """For the learning of colours. What a person marked outvotes all views, too."""
-    beliefs: Sequence[Float[ndarray, "height width"]] | None
-    """What is believed at first, 0..1; None for a ball around what the cameras look at."""
     frame: Frame
     low: Float[ndarray, "3"]
     high: Float[ndarray, "3"]
     """The box that is searched, in coordinates of `frame`: above the support, for instance."""
-    focus: Float[ndarray, "3"]
+    focus: Float[ndarray, "3"] | None = None
     """Where in this box the object is; what stands apart from it and further away is not the object."""
+    odds: Sequence[Float[ndarray, "height width"]] = ()
+    """Added to what colours say in each view, log odds at the size of its picture."""
+    known: evidence.Known = evidence.NOTHING_KNOWN
+    """For the learning of colours. What a person marked outvotes all views, too."""
+    beliefs: Sequence[Float[ndarray, "height width"]] | None = None
+    """Probability of the object at first, 0..1; None for a ball around what the cameras look at."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -123,6 +141,7 @@ class Agreement:
 @dataclass(frozen=True, slots=True)
 class _Grid:
     lattice: Lattice
+    cameras: list[PictureCamera]
     pixels: list[Int32[ndarray, " cells"]]
     """Flat index of the pixel of each view that shows a cell, -1 outside."""
 
@@ -140,59 +159,52 @@ def agree(
 
     `centre` is the point the cameras look at, `distance` how far they are from it, both in scene units.
     """
-    seen = prepare(views, edges=leaning.distance > 0.0) if prepared is None else prepared
-    beliefs = [
+    half = np.full(3, settings.reach * distance)
+    given = given or Given(frame=SCENE, low=centre - half, high=centre + half)
+    marks = given.known.marks
+    seen = prepared or prepare(views, edges=leaning.distance > 0.0)
+    beliefs: Sequence[ndarray] = given.beliefs or [
         _without_border(_ball(view.camera, centre, settings.first_radius * distance)) for view in views
     ]
-    half = np.full(3, settings.reach * distance)
-    frame, low, high = SCENE, centre - half, centre + half
-    if given is not None:
-        frame, low, high = given.frame, given.low, given.high
-        beliefs = beliefs if given.beliefs is None else [np.asarray(each) for each in given.beliefs]
-    grid = _grid(views, frame, low, high, settings.cells)
-    agreement = None
+    grid = _grid(views, given.frame, given.low, given.high, settings.cells)
+    kept = np.zeros((0, 3))
     for number in range(settings.rounds):
+        if number - 1 in settings.refit_after:
+            # The same number of cells in a smaller box: finer cells.
+            grid = _closed_in(grid, kept, views, given, settings)
+        # Each view by itself. Colours of object and background are learnt from what is believed so far, so
+        # that they become purer from round to round.
         odds = _odds(seen, beliefs, leaning, given)
-        votes = [_votes(each, grid, view, settings) for view, each in enumerate(odds)]
-        free = votes.copy()
-        marks = given.known.marks if given is not None else {}
-        for view, mark in marks.items():
-            votes[view] = _without_marked(votes[view], mark, grid.pixels[view], len(views))
-        total = np.sum(votes, axis=0)
-        if any((mark > 0).any() for mark in marks.values()):
-            total = _with_marked(total, marks, grid, views)
-        if given is not None and settings.standing > 0.0:
-            total = _with_what_stands_below(total, grid.lattice, len(views), settings)
-        solid = total > 0.0
-        if given is not None:
-            solid = main_parts(solid, grid.lattice, given.focus, distance)
-            total = np.where(solid, total, np.minimum(total, 0.0))
-        if solid.sum() < 50:
-            return None
-        kept = grid.lattice.local(solid)
-        middle = frame.world(kept.mean(axis=0)[None])[0]
-        priors = [
-            _prior(grid, total - votes[v], v, views[v].camera, middle, leaning, settings)
-            for v in range(len(views))
+        # A view votes on each cell by the pixel that shows it. A mark "background" is a veto: no cell that
+        # is seen through this pixel is solid.
+        free = [_votes(each, grid, view, settings) for view, each in enumerate(odds)]
+        votes = [
+            _without_marked(own, marks[view], grid.pixels[view], len(views)) if view in marks else own
+            for view, own in enumerate(free)
         ]
+        # A mark "object" says that some cell behind it is solid, and what is solid stands on something. Which
+        # cells that makes solid follows from all votes together, so it changes the sum and no single vote.
+        total = _with_what_stands_below(_with_marked(np.sum(votes, axis=0), marks, grid), grid, settings)
+        if given.focus is not None:
+            # What stands beside the object has as many votes as the object; only its place tells it apart.
+            solid = main_parts(total > 0.0, grid.lattice, given.focus, distance)
+            total = np.where(solid, total, np.minimum(total, 0.0))
+        if (total > 0.0).sum() < _LEAST_CELLS:
+            return None
+        # Cells vote for pixels: what the other views say is the prior of a view. Its own vote is taken off
+        # the sum, or every view would confirm its own mistakes.
+        kept = grid.lattice.local(total > 0.0)
+        middle = given.frame.world(kept.mean(axis=0)[None])[0]
+        priors = [_prior(grid, total - own, v, middle, leaning, settings) for v, own in enumerate(votes)]
         beliefs = [_without_border(_sigmoid(own + prior)) for own, prior in zip(odds, priors, strict=True)]
-        unmarked = []
-        if number == settings.rounds - 1 and given is not None and given.known.marks:
-            every = np.sum(free, axis=0)
-            if settings.standing > 0.0:
-                every = _with_what_stands_below(every, grid.lattice, len(views), settings)
-            unmarked = [
-                _prior(grid, every - own, v, views[v].camera, middle, leaning, settings)
-                for v, own in enumerate(free)
-            ]
-        agreement = Agreement(
-            beliefs=beliefs, priors=priors, lattice=grid.lattice, votes=total, unmarked=unmarked
-        )
-        if number in settings.refit_after:
-            margin = 2.0 * grid.lattice.spacing
-            fresh_low = np.maximum(kept.min(axis=0) - margin, low)
-            grid = _grid(views, frame, fresh_low, np.minimum(kept.max(axis=0) + margin, high), settings.cells)
-    return agreement
+    unmarked = []
+    if marks:
+        # The last round once more without marks: the difference is what they have changed in other views.
+        every = _with_what_stands_below(np.sum(free, axis=0), grid, settings)
+        unmarked = [_prior(grid, every - own, v, middle, leaning, settings) for v, own in enumerate(free)]
+    return Agreement(
+        beliefs=list(beliefs), priors=priors, lattice=grid.lattice, votes=total, unmarked=unmarked
+    )
 
 
 def prepare(views: Sequence[MaskView], *, edges: bool) -> Prepared:
@@ -206,15 +218,14 @@ def prepare(views: Sequence[MaskView], *, edges: bool) -> Prepared:
 
 
 def _odds(
-    seen: Prepared, beliefs: Sequence[ndarray], leaning: Leaning, given: Given | None
+    seen: Prepared, beliefs: Sequence[ndarray], leaning: Leaning, given: Given
 ) -> list[Float[ndarray, "height width"]]:
     """Return what each view says by itself, smoothed along its edges, log odds."""
-    known = evidence.NOTHING_KNOWN if given is None else given.known
-    odds = [leaning.colour * each for each in evidence.colour_odds(seen.colours, beliefs, known)]
+    odds = [leaning.colour * each for each in evidence.colour_odds(seen.colours, beliefs, given.known)]
     if seen.distances is not None and leaning.distance > 0.0:
         far = evidence.distance_odds(seen.distances, beliefs)
         odds = [own + leaning.distance * each for own, each in zip(odds, far, strict=True)]
-    if given is not None:
+    if given.odds:
         odds = [own + extra for own, extra in zip(odds, given.odds, strict=True)]
     return [
         evidence.guided_smooth(guide, own, 2, 1e-3) for guide, own in zip(seen.lightness, odds, strict=True)
@@ -243,14 +254,25 @@ def _sigmoid(odds: ndarray) -> ndarray:
 
 
 def _grid(
-    views: Sequence[MaskView],
-    frame: Frame,
-    low: Float[ndarray, "3"],
-    high: Float[ndarray, "3"],
-    cells: int,
+    views: Sequence[MaskView], frame: Frame, low: Float[ndarray, "3"], high: Float[ndarray, "3"], cells: int
 ) -> _Grid:
     lattice = Lattice.between(frame, low, high, cells)
-    return _Grid(lattice, [lattice.pixels(view.camera) for view in views])
+    cameras = [view.camera for view in views]
+    return _Grid(lattice, cameras, [lattice.pixels(camera) for camera in cameras])
+
+
+def _closed_in(
+    grid: _Grid,
+    kept: Float[ndarray, "cells 3"],
+    views: Sequence[MaskView],
+    given: Given,
+    settings: ConsensusSettings,
+) -> _Grid:
+    """Return a grid around the cells that were kept, with a margin of two cells, within the given box."""
+    margin = 2.0 * grid.lattice.spacing
+    low = np.maximum(kept.min(axis=0) - margin, given.low)
+    high = np.minimum(kept.max(axis=0) + margin, given.high)
+    return _grid(views, given.frame, low, high, settings.cells)
 
 
 def _votes(
@@ -269,16 +291,18 @@ def _votes(
 
 
 def _with_what_stands_below(
-    total: Float[ndarray, " cells"], lattice: Lattice, num_views: int, settings: ConsensusSettings
+    total: Float[ndarray, " cells"], grid: _Grid, settings: ConsensusSettings
 ) -> Float[ndarray, " cells"]:
     """Return the votes with those for cells that have something of the object above them.
 
     The third axis of the lattice points away from the support.
     """
-    cells = total.reshape(lattice.shape)
+    if settings.standing <= 0.0:
+        return total
+    cells = total.reshape(grid.lattice.shape)
     solid = cells > 0.0
     covered = np.maximum.accumulate(solid[..., ::-1], axis=2)[..., ::-1] & ~solid
-    raised = np.minimum(cells + settings.standing * num_views, settings.most_standing)
+    raised = np.minimum(cells + settings.standing * len(grid.cameras), settings.most_standing)
     return np.where(covered, np.maximum(raised, cells), cells).ravel()
 
 
@@ -293,45 +317,38 @@ def _without_marked(
 
 
 def _with_marked(
-    total: Float[ndarray, " cells"],
-    marks: Mapping[int, Int8[ndarray, "height width"]],
-    grid: _Grid,
-    views: Sequence[MaskView],
+    total: Float[ndarray, " cells"], marks: Mapping[int, Int8[ndarray, "height width"]], grid: _Grid
 ) -> Float[ndarray, " cells"]:
     """Return the sum of votes with something solid behind each pixel that was marked as the object.
 
     Which cell that is follows from the votes, and from the other views that were marked there: it is the one
     with the largest sum, where each of them counts for a fifth of all views.
     """
-    share = 0.2 * len(views)
+    share = 0.2 * len(grid.cameras)
     behind = {
         view: np.append(mark.ravel(), 0)[grid.pixels[view]] > 0
         for view, mark in marks.items()
         if (mark > 0).any()
     }
     score = total + share * np.sum(list(behind.values()), axis=0)
-    middle = grid.lattice.frame.world(
-        (grid.lattice.low + 0.5 * grid.lattice.spacing * np.array(grid.lattice.shape))[None]
-    )[0]
+    lattice = grid.lattice
+    middle = lattice.frame.world((lattice.low + 0.5 * lattice.spacing * np.array(lattice.shape))[None])[0]
     result = total.copy()
     for view, inside in behind.items():
-        best, _ = _best_behind(grid, np.where(inside, score, -1e9), view, views[view].camera, middle)
-        least = np.append(best.ravel(), np.inf)[grid.pixels[view]] - _AS_LIKELY * len(views)
+        best, _ = _best_behind(grid, np.where(inside, score, -1e9), view, middle)
+        least = np.append(best.ravel(), np.inf)[grid.pixels[view]] - _AS_LIKELY * len(grid.cameras)
         result = np.where(inside & (score >= least), np.maximum(result, share), result)
     return result
 
 
 def _best_behind(
-    grid: _Grid,
-    votes: Float[ndarray, " cells"],
-    view: int,
-    camera: PictureCamera,
-    middle: Float[ndarray, "3"],
+    grid: _Grid, votes: Float[ndarray, " cells"], view: int, middle: Float[ndarray, "3"]
 ) -> tuple[Float[ndarray, "height width"], int]:
     """Return the largest sum of votes behind each pixel, within reach of a cell's size, and that reach.
 
     Log odds, and pixels.
     """
+    camera = grid.cameras[view]
     best = np.full(camera.height * camera.width + 1, -1e3, dtype=np.float32)
     np.maximum.at(best, grid.pixels[view], votes)
     radius = max(1, int(np.ceil(0.5 * grid.lattice.spacing * camera.pixels_per_unit(middle))))
@@ -343,7 +360,6 @@ def _prior(
     grid: _Grid,
     votes: Float[ndarray, " points"],
     view: int,
-    camera: PictureCamera,
     middle: Float[ndarray, "3"],
     leaning: Leaning,
     settings: ConsensusSettings,
@@ -353,7 +369,7 @@ def _prior(
     Against the object where no cell is solid within reach of a cell's size; for it only further inside, since
     cells are larger than pixels.
     """
-    wide, radius = _best_behind(grid, votes, view, camera, middle)
+    wide, radius = _best_behind(grid, votes, view, middle)
     deep = ndimage.minimum_filter(wide, size=2 * (radius + 1) + 1)
     against = np.clip(wide / settings.scale, -leaning.least_hull, 0.0)
     return against + np.clip(deep / settings.scale, 0.0, leaning.most_hull)

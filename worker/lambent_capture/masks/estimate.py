@@ -104,7 +104,7 @@ def too_few(number: int) -> str:
 
 def agreed_masks(views: Sequence[MaskView], settings: EstimateSettings) -> Estimate | str:
     """Return where the object is in every view, credible or not; a reason where there is nothing at all."""
-    small = [_reduced(view, settings.consensus_side) for view in views]
+    small = [view.box_averaged(settings.consensus_side) for view in views]
     middle = middle_of(views)
     if isinstance(middle, str):
         return middle
@@ -228,12 +228,6 @@ def middle_of(
     if centre is None:
         return "the cameras do not look at a common point"
     return centre, float(np.median(np.linalg.norm(positions - centre, axis=-1)))
-
-
-def _reduced(view: MaskView, side: int) -> MaskView:
-    size = reduced_size(view.camera.width, view.camera.height, side)
-    image = Image.fromarray(view.image_srgb).resize(size, Image.Resampling.BOX)
-    return MaskView(view.name, np.asarray(image), view.camera.resized(*size))
 
 
 def _enlarged(

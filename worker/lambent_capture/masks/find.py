@@ -18,13 +18,7 @@ from lambent_capture.masks.final import preview_masks
 from lambent_capture.masks.lattice import SCENE
 from lambent_capture.masks.motion import SIDE as MOTION_SIDE
 from lambent_capture.masks.motion import find_motion
-from lambent_capture.masks.on_support import (
-    OnSupport,
-    SupportSettings,
-    find_on_support,
-    first_footprint,
-    ortho_grid,
-)
+from lambent_capture.masks.on_support import SupportSettings, find_on_support, first_footprint, ortho_grid
 from lambent_capture.masks.orthophoto import SupportViews, look_at_support
 from lambent_capture.masks.photograph import Photograph, Progress, SparsePoints
 from lambent_capture.masks.plane_height import best_height
@@ -141,9 +135,8 @@ def _support(
 ) -> tuple[SupportViews, Float32[ndarray, "cells cells"]]:
     plane = best_height(plane, views, distance)
     grid = ortho_grid(plane, views, distance, settings.support)
-    count = _Counter("looking at the support", len(views), progress)
     footprint = first_footprint(grid, points.xyz, distance, settings.support)
-    return look_at_support(views, grid, count.step), footprint
+    return look_at_support(views, grid, progress), footprint
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,38 +154,31 @@ class _Start:
 
 def _above(start: _Start, chosen: SupportSettings) -> Workspace | None:
     views = start.support.views
-    small = [_smaller(view, start.side) for view in views]
-    found = find_on_support(
-        views, small, start.support, start.footprint, start.centre, start.distance, chosen, moved=start.moved
+    small = [view.averaged(start.side) for view in views]
+    seen = find_on_support(
+        small, start.support, start.footprint, start.centre, start.distance, chosen, start.moved
     )
-    if found is None:
+    if seen is None:
         return None
-    return _workspace_above(start, views, found, chosen.rounds)
-
-
-def _workspace_above(
-    start: _Start, views: Sequence[MaskView], found: OnSupport, rounds: ConsensusSettings
-) -> Workspace:
-    given = found.given
+    given, agreement = seen.given, seen.agreement
     return Workspace(
         names=tuple(view.name for view in views),
         cameras=tuple(photograph.camera for photograph in start.photographs),
         pictures=tuple(view.image_srgb for view in views),
-        support_odds=tuple(odds.astype(np.float16) for odds in found.odds),
+        support_odds=tuple(odds.astype(np.float16) for odds in seen.odds),
         learnt=tuple(each.astype(np.float32) for each in given.known.learnt or ()),
         beyond=tuple(each.astype(np.float32) for each in given.known.beyond or ()),
-        beliefs=tuple(each.astype(np.float32) for each in found.agreement.beliefs),
-        priors=tuple(each.astype(np.float32) for each in found.agreement.priors),
+        beliefs=tuple(each.astype(np.float32) for each in agreement.beliefs),
+        priors=tuple(each.astype(np.float32) for each in agreement.priors),
         frame=given.frame,
         low=given.low,
         high=given.high,
-        found_low=found.agreement.lattice.low,
-        found_high=found.agreement.lattice.low
-        + np.array(found.agreement.lattice.shape) * found.agreement.lattice.spacing,
+        found_low=agreement.lattice.low,
+        found_high=agreement.lattice.low + np.array(agreement.lattice.shape) * agreement.lattice.spacing,
         centre=start.centre,
         distance=start.distance,
         has_support=True,
-        rounds=rounds,
+        rounds=chosen.rounds,
     )
 
 
@@ -237,7 +223,7 @@ def _moved(views: Sequence[MaskView]) -> list[Bool[ndarray, "height width"]] | N
     That is the convex hull of all that ever changed: a part that has the same colour from all sides changes
     nothing where it always is.
     """
-    found = find_motion([_smaller(view, MOTION_SIDE).image_srgb for view in views])
+    found = find_motion([view.averaged(MOTION_SIDE).image_srgb for view in views])
     if found is None:
         return None
     changed = np.any(found.masks, axis=0)
@@ -245,21 +231,3 @@ def _moved(views: Sequence[MaskView]) -> list[Bool[ndarray, "height width"]] | N
     swept = cv2.fillConvexPoly(changed.astype(np.uint8), hull, 1)
     sizes = [(view.camera.width, view.camera.height) for view in views]
     return [cv2.resize(swept, size, interpolation=cv2.INTER_NEAREST) > 0 for size in sizes]
-
-
-def _smaller(view: MaskView, side: int) -> MaskView:
-    scale = min(1.0, side / max(view.camera.width, view.camera.height))
-    size = (max(1, round(scale * view.camera.width)), max(1, round(scale * view.camera.height)))
-    picture = cv2.resize(view.image_srgb, size, interpolation=cv2.INTER_AREA)
-    return MaskView(view.name, picture, view.camera.resized(*size))
-
-
-class _Counter:
-    """Tells progress one by one."""
-
-    def __init__(self, phase: str, total: int, progress: Progress) -> None:
-        self._phase, self._total, self._progress, self._done = phase, total, progress, 0
-
-    def step(self) -> None:
-        self._done += 1
-        self._progress(self._phase, self._done, self._total)

@@ -134,21 +134,34 @@ def draw_masks(
         writer.write(number, final_mask(photograph, number, work, colours, FinalSettings()))
         progress("drawing outlines", number + 1, len(photographs))
     views = [work.view(number) for number in range(len(photographs))]
-    consistency = consistency_of(writer.coverages, views, work.centre, work.distance, settings)
-    small = [_small_view(view, settings.consensus_side) for view in views]
-    found = Estimate(writer.coverages, consistency, separation_of(small, writer.coverages))
-    return replace(writer.finish(consistency.overlap, _reason(work, found, settings)), markable=True)
+    small = [view.box_averaged(settings.consensus_side) for view in views]
+    overlap, reason = judged(work, writer.coverages, small, settings)
+    return replace(writer.finish(overlap, reason), markable=True)
 
 
-def _reason(work: Workspace, found: Estimate, settings: EstimateSettings) -> str:
-    """Return why masks are not to be believed; what a person marked is never doubted for lack of views."""
+def judged(
+    work: Workspace,
+    coverages: Sequence[Float[ndarray, "height width"]],
+    compared: Sequence[MaskView],
+    settings: EstimateSettings,
+) -> tuple[Float[ndarray, " views"], str]:
+    """Return how well each mask agrees with the others, 0..1, and why not to trust them, or "".
+
+    `compared` are the views at the size at which colours inside and outside are compared. Marks of a person
+    are never doubted for lack of views.
+    """
+    views = [work.view(number) for number in range(len(work.names))]
+    consistency = consistency_of(coverages, views, work.centre, work.distance, settings)
+    reason = work.reason
     if work.seeds:
-        empty = all(not (coverage >= 0.5).any() for coverage in found.coverages)
-        return "what was marked leaves nothing of the object" if empty else ""
-    if work.reason:
-        return work.reason
-    few = len(work.names) < settings.min_views
-    return too_few(len(work.names)) if few else why_not_credible(found, settings)
+        empty = all(not (coverage >= 0.5).any() for coverage in coverages)
+        reason = "what was marked leaves nothing of the object" if empty else ""
+    elif not reason and len(work.names) < settings.min_views:
+        reason = too_few(len(work.names))
+    elif not reason:
+        estimate = Estimate(list(coverages), consistency, separation_of(compared, coverages))
+        reason = why_not_credible(estimate, settings)
+    return consistency.overlap, reason
 
 
 class MaskWriter:
@@ -199,12 +212,6 @@ def _by_segmenter(
         writer.write(number, np.asarray(grey.resize(size, Image.Resampling.BILINEAR)))
         progress("writing masks", number + 1, len(photographs))
     return writer.finish(np.ones(len(views)), "")
-
-
-def _small_view(view: MaskView, side: int) -> MaskView:
-    size = reduced_size(view.camera.width, view.camera.height, side)
-    picture = Image.fromarray(view.image_srgb).resize(size, Image.Resampling.BOX)
-    return MaskView(view.name, np.asarray(picture), view.camera.resized(*size))
 
 
 def contact_sheet(

@@ -1,6 +1,6 @@
 """Finds an object that stands on a plane: what the support does not explain, as far as all views agree."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -93,54 +93,72 @@ class OnSupport:
 
 
 def find_on_support(
-    views: Sequence[MaskView],
     small: Sequence[MaskView],
     support: SupportViews,
     footprint: Float32[ndarray, "cells cells"],
     centre: Float[ndarray, "3"],
     distance: float,
     settings: SupportSettings,
-    prepared: Prepared | None = None,
-    progress: Callable[[], None] = lambda: None,
     moved: Sequence[Bool[ndarray, "height width"]] | None = None,
 ) -> OnSupport | None:
     """Return the object that stands on the support, or None where the views agree on none.
 
-    `views` are those of `support`; `small` are the same at the size at which they are compared. `footprint`
-    is where the object is thought to stand at first, 0..1 for each texel. `moved` says which pixels of
-    `views` may show the object at all.
+    `small` are the views of `support` at the size at which they are compared. `footprint` is where the object
+    is thought to stand at first, 0..1 for each texel. `moved` says which pixels of the views may show the
+    object at all.
     """
-    seen = prepare(small, edges=False) if prepared is None else prepared
-    found: OnSupport | None = None
+    seen = prepare(small, edges=False)
+    last: OnSupport | None = None
     for _ in range(settings.turns):
-        beliefs = None if found is None else found.agreement.beliefs
-        ortho = build(support, beliefs)
-        if found is None:
-            ortho.known[footprint > 0.5] = 0.0
-            ortho.hidden[footprint > 0.5] = True
-        objects = None
-        if found is not None:
-            beliefs = found.agreement.beliefs
-            objects = learn_colours(seen.colours, beliefs, found.given.known).objects
-            if settings.stands:
-                covered = _below(support.grid, found.agreement)
-                ortho.known[covered] = 0.0
-                ortho.hidden[covered] = True
-            ortho = uncovered(support, ortho, beliefs, objects, distance)
-        odds = [support_odds(support, ortho, i, objects, settings.prediction) for i in range(len(views))]
-        if moved is not None:
-            odds = [np.where(may, own, np.float32(-LIMIT)) for may, own in zip(moved, odds, strict=True)]
-        given = _given(small, support, ortho, odds, beliefs, distance, settings)
-        if beliefs is None:
+        # The support without the object, then what differs from it, then the object: each gets better by the
+        # others.
+        ortho, objects = _orthophoto(support, seen, last, footprint, distance, settings)
+        odds = _unlike_support(support, ortho, objects, moved, settings)
+        given = _given(small, support, ortho, odds, last, distance, settings)
+        if last is None:
             # Geometry first: colours are learnt from what differs from the support, not from a ball.
             start = agree(small, centre, distance, settings.first, settings.first_rounds, given, seen)
             given = given if start is None else replace(given, beliefs=start.beliefs)
         agreement = agree(small, centre, distance, settings.leaning, settings.rounds, given, seen)
-        progress()
         if agreement is None:
             return None
-        found = OnSupport(agreement=agreement, odds=odds, given=given)
-    return found
+        last = OnSupport(agreement=agreement, odds=odds, given=given)
+    return last
+
+
+def _orthophoto(
+    support: SupportViews,
+    seen: Prepared,
+    last: OnSupport | None,
+    footprint: Float32[ndarray, "cells cells"],
+    distance: float,
+    settings: SupportSettings,
+) -> tuple[Orthophoto, Float[ndarray, " cells"] | None]:
+    """Return the support as the turn before leaves it visible, and the table of the object's colours."""
+    if last is None:
+        ortho = build(support, None)
+        ortho.hide(footprint > 0.5)
+        return ortho, None
+    beliefs = last.agreement.beliefs
+    ortho = build(support, beliefs)
+    objects = learn_colours(seen.colours, beliefs, last.given.known).objects
+    if settings.stands:
+        ortho.hide(_below(support.grid, last.agreement))
+    return uncovered(support, ortho, beliefs, objects, distance), objects
+
+
+def _unlike_support(
+    support: SupportViews,
+    ortho: Orthophoto,
+    objects: Float[ndarray, " cells"] | None,
+    moved: Sequence[Bool[ndarray, "height width"]] | None,
+    settings: SupportSettings,
+) -> list[Float32[ndarray, "height width"]]:
+    """Return the log odds of each view against the support; what did not `move` is never the object."""
+    odds = [support_odds(support, ortho, i, objects, settings.prediction) for i in range(len(support.views))]
+    if moved is None:
+        return odds
+    return [np.where(may, own, np.float32(-LIMIT)) for may, own in zip(moved, odds, strict=True)]
 
 
 def ortho_grid(
@@ -193,7 +211,7 @@ def _given(
     support: SupportViews,
     ortho: Orthophoto,
     odds: Sequence[Float32[ndarray, "height width"]],
-    beliefs: Sequence[ndarray] | None,
+    last: OnSupport | None,
     distance: float,
     settings: SupportSettings,
 ) -> Given:
@@ -208,7 +226,7 @@ def _given(
             learnt=[_reduced(each, view) for each, view in zip(learnt, small, strict=True)],
             beyond=[_reduced(each, view) for each, view in zip(beyond, small, strict=True)],
         ),
-        beliefs=beliefs,
+        beliefs=None if last is None else last.agreement.beliefs,
         frame=Frame(origin=plane.origin, axes=plane.axes),
         low=np.array([-reach, -reach, 0.0]),
         high=np.array([reach, reach, 2.0 * reach]),

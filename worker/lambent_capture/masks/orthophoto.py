@@ -5,7 +5,7 @@ move. What stands on it is smeared by parallax and is outvoted, as long as enoug
 are CIELAB of linear light in which the exposures of the views are evened out.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -15,6 +15,7 @@ from lambent_core.colour import linear_from_srgb
 from numpy import ndarray
 
 from lambent_capture.masks.consensus import MaskView
+from lambent_capture.masks.photograph import Progress
 from lambent_capture.masks.plane_maps import NOWHERE, OrthoGrid, seen_pixels, seen_texels
 
 _LINEAR = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
@@ -38,6 +39,10 @@ class Orthophoto:
     """1 where enough views see the support free, 0 where none does."""
     hidden: Bool[ndarray, "cells cells"]
     """Where enough views look, but none sees the support free: what the object stands on."""
+
+    def hide(self, texels: Bool[ndarray, "cells cells"]) -> None:
+        """Take back what is known of some texels."""
+        self.known[texels], self.hidden[texels] = 0.0, True
 
 
 @dataclass(slots=True)
@@ -73,19 +78,19 @@ def colours_of_bytes(coded: UInt8[ndarray, "*shape 3"]) -> Float32[ndarray, "*sh
 
 
 def look_at_support(
-    views: Sequence[MaskView], grid: OrthoGrid, progress: Callable[[], None] = lambda: None
+    views: Sequence[MaskView], grid: OrthoGrid, progress: Progress = lambda phase, done, total: None
 ) -> SupportViews:
     """Return the views laid on the support, with their exposures evened out there."""
     support = SupportViews(grid, list(views), np.ones((len(views), 3)))
     plain = []
-    for view in views:
+    for number, view in enumerate(views):
         support.texels.append(seen_texels(view.camera, grid))
         pixels = seen_pixels(view.camera, grid)
         support.maps.append(cv2.convertMaps(pixels, None, cv2.CV_16SC2))
         # Averaged over about a texel's surroundings, so that pattern finer than the grid does not alias.
         smooth = cv2.GaussianBlur(view.image_srgb, (0, 0), 0.7)
         plain.append(_warp(smooth, support.maps[-1]))
-        progress()
+        progress("looking at the support", number + 1, len(views))
     support.gains = _even_gains(plain)
     for number, picture in enumerate(plain):
         lab = lab_with_gain(picture, support.gains[number])

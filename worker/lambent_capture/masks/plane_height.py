@@ -74,7 +74,7 @@ def _agreement(
     distance: float,
     settings: HeightSettings,
 ) -> float:
-    """Return the median over views of the correlation of one with the mean of the others, on the plane."""
+    """Return the mean over views of the correlation of one with the mean of the others, on the plane."""
     grid = OrthoGrid(plane=plane, half=settings.half * distance, cells=settings.cells)
     total = np.zeros((settings.cells, settings.cells), np.float32)
     count = np.zeros_like(total)

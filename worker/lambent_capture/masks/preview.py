@@ -14,7 +14,6 @@ corrected (`editable` is false, nothing is compared).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,16 +26,9 @@ from PIL import Image
 
 from lambent_capture.checks.picture_camera import PictureCamera
 from lambent_capture.masks.consensus import MaskView
-from lambent_capture.masks.estimate import (
-    Estimate,
-    EstimateSettings,
-    consistency_of,
-    separation_of,
-    too_few,
-    why_not_credible,
-)
+from lambent_capture.masks.estimate import EstimateSettings
 from lambent_capture.masks.final import preview_masks
-from lambent_capture.masks.folder import DOUBTFUL_OVERLAP, SHEET, contact_sheet
+from lambent_capture.masks.folder import DOUBTFUL_OVERLAP, SHEET, contact_sheet, judged
 from lambent_capture.masks.workspace import Workspace
 from lambent_capture.pictures.coverage import frame_mask
 from lambent_capture.pictures.picture import box_averaged
@@ -50,22 +42,13 @@ FRAMES, PICTURES, MASKS = "frames.json", "pictures", "masks"
 _QUALITY = 88
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Judgement:
-    """How far masks are to be believed."""
-
-    overlap: Float[ndarray, " views"] | None
-    """Agreement of each mask with the others, 0..1; None where that was not looked at."""
-    reason: str = ""
-    """Why they are not to be believed."""
-
-
 def write_estimated(work: Workspace, out: Path) -> None:
     """Write the previews of an estimate, or of what corrections have made of it."""
     views = [work.view(number) for number in range(len(work.names))]
     coverages = [np.asarray(mask, dtype=np.float32) for mask in preview_masks(work)]
     sizes = [(camera.width, camera.height) for camera in work.cameras]
-    _write(out, views, coverages, sizes, _judged(work, views, coverages))
+    overlap, reason = judged(work, coverages, views, EstimateSettings())
+    _write(out, views, coverages, sizes, overlap, reason)
 
 
 def write_given(folder: Path, manifest: scene_pb2.SceneManifest, out: Path) -> None:
@@ -85,23 +68,7 @@ def write_given(folder: Path, manifest: scene_pb2.SceneManifest, out: Path) -> N
         views.append(MaskView(frame.name, picture.srgb(), camera.resized(*size)))
         coverages.append(alpha)
         sizes.append((camera.width, camera.height))
-    _write(out, views, coverages, sizes, Judgement(overlap=None))
-
-
-def _judged(
-    work: Workspace, views: Sequence[MaskView], coverages: Sequence[Float[ndarray, "height width"]]
-) -> Judgement:
-    settings = EstimateSettings()
-    found = consistency_of(coverages, views, work.centre, work.distance, settings)
-    if work.seeds:
-        # What a person marked is not doubted for lack of views.
-        empty = not any((coverage >= 0.5).any() for coverage in coverages)
-        reason = "what was marked leaves nothing of the object" if empty else ""
-    elif work.reason or len(work.names) < settings.min_views:
-        reason = work.reason or too_few(len(work.names))
-    else:
-        reason = why_not_credible(Estimate(list(coverages), found, separation_of(views, coverages)), settings)
-    return Judgement(overlap=found.overlap, reason=reason)
+    _write(out, views, coverages, sizes, overlap=None, reason="")
 
 
 def _write(
@@ -109,11 +76,12 @@ def _write(
     views: Sequence[MaskView],
     coverages: Sequence[Float[ndarray, "height width"]],
     sizes: Sequence[tuple[int, int]],
-    judgement: Judgement,
+    overlap: Float[ndarray, " views"] | None,
+    reason: str,
 ) -> None:
+    """Write everything; `overlap` is None for masks that are not compared with each other."""
     for name in (PICTURES, MASKS):
         (out / name).mkdir(parents=True, exist_ok=True)
-    overlap = judgement.overlap
     frames: list[dict[str, Any]] = []
     for number, (view, coverage) in enumerate(zip(views, coverages, strict=True)):
         turns = upright_turns(view.camera.camera_to_world)
@@ -131,18 +99,14 @@ def _write(
         if overlap is not None:
             entry["overlap"] = round(float(overlap[number]), 4)
         frames.append(entry)
-    shares = (
-        []
-        if overlap is None
-        else [(float(share), view.name) for share, view in zip(overlap, views, strict=True)]
-    )
+    shares = [] if overlap is None else list(zip(overlap.tolist(), (v.name for v in views), strict=True))
     record = {
         "version": VERSION,
         "editable": overlap is not None,
         "overlap": round(float(np.median(overlap)), 4) if overlap is not None else 1.0,
         "doubtful": [name for share, name in sorted(shares) if share < DOUBTFUL_OVERLAP],
-        "reason": judgement.reason,
+        "reason": reason,
         "frames": frames,
     }
-    contact_sheet(views, coverages, judgement.reason).save(out / SHEET, quality=90, subsampling=0)
+    contact_sheet(views, coverages, reason).save(out / SHEET, quality=90, subsampling=0)
     write_json(out / FRAMES, record)

@@ -58,7 +58,7 @@ def propagated(
     if not corrections:
         return work
     seeds = _seeds(work, corrections)
-    small = [_small_view(work, number, settings.compare_side) for number in range(len(work.names))]
+    small = [work.view(number).averaged(settings.compare_side) for number in range(len(work.names))]
     sizes = {number: (small[number].camera.width, small[number].camera.height) for number in seeds}
     marks = {number: reduced_seeds(each, sizes[number]) for number, each in seeds.items()}
     prepared = prepare(small, edges=False)
@@ -175,14 +175,6 @@ def _seeds(work: Workspace, corrections: Sequence[Correction]) -> dict[int, Int8
         if own is not None:
             seeds[number] = turned_pixels(own, -turns)
     return seeds
-
-
-def _small_view(work: Workspace, number: int, side: int) -> MaskView:
-    view = work.view(number)
-    scale = min(1.0, side / max(view.camera.width, view.camera.height))
-    size = (max(1, round(scale * view.camera.width)), max(1, round(scale * view.camera.height)))
-    picture = cv2.resize(view.image_srgb, size, interpolation=cv2.INTER_AREA)
-    return MaskView(view.name, picture, view.camera.resized(*size))
 
 
 def _resized(values: ndarray, size: tuple[int, int]) -> Float32[ndarray, "rows columns"]:

@@ -39,26 +39,33 @@ class PoseLimits:
 
 def advise(solution: Solution, limits: PoseLimits, problems: Problems) -> None:
     """Note in `problems` what is missing, why, and which photographs to add; nothing if all went well."""
-    found, total = len(solution.camera_to_world), len(solution.names)
-    # A photograph that could not be read is a finding of its own.
-    missing = [
-        name
-        for name in solution.names
-        if name not in solution.camera_to_world and name not in solution.faults
-    ]
+    _note_unreadable(solution, limits, problems)
+    if _note_missing(solution, limits, problems):
+        _note_doubts(solution, limits, problems)
+
+
+def _note_unreadable(solution: Solution, limits: PoseLimits, problems: Problems) -> None:
+    total = len(solution.names)
     usable = total - len(solution.faults)
-    note = problems.warning if usable >= limits.min_share * total and usable else problems.error
+    note = problems.warning if usable and usable >= limits.min_share * total else problems.error
     for name, fault in solution.faults.items():
         note(fault.code, f"{fault.message}; it was left out", name)
-    if not missing and not found:
-        return
-    if not found:
-        problems.error(
-            "scene.poses_none",
-            f"no {total} photographs could be fitted together; {_reason(solution, missing, limits)}",
-            missing[0],
-        )
-        return
+
+
+def _note_missing(solution: Solution, limits: PoseLimits, problems: Problems) -> bool:
+    """Note cameras that were not found or cannot be right; return whether the others are worth a look."""
+    placed, total = len(solution.camera_to_world), len(solution.names)
+    # A photograph that could not be read has a finding of its own.
+    known = {*solution.camera_to_world, *solution.faults}
+    missing = [name for name in solution.names if name not in known]
+    if not placed:
+        if missing:
+            problems.error(
+                "scene.poses_none",
+                f"no {total} photographs could be fitted together; {_reason(solution, missing, limits)}",
+                missing[0],
+            )
+        return False
     if not solution.reprojection_error_px <= limits.unusable_px:
         problems.error(
             "scene.poses_unusable",
@@ -68,57 +75,59 @@ def advise(solution: Solution, limits: PoseLimits, problems: Problems) -> None:
             "the pictures or give masks",
             solution.names[0],
         )
-        return
-    if found < limits.min_share * total:
+        return False
+    if placed < limits.min_share * total:
         problems.error(
             "scene.poses_few",
-            f"cameras were found for {found} of {total} photographs only, not for {listed(missing)}; "
+            f"cameras were found for {placed} of {total} photographs only, not for {listed(missing)}; "
             f"{_reason(solution, missing, limits)}",
             missing[0],
         )
     elif missing:
         problems.warning(
             "scene.poses_incomplete",
-            f"cameras were found for {found} of {total} photographs; left out are {listed(missing)}; "
+            f"cameras were found for {placed} of {total} photographs; left out are {listed(missing)}; "
             f"{_reason(solution, missing, limits)}",
             missing[0],
         )
+    return True
+
+
+def _note_doubts(solution: Solution, limits: PoseLimits, problems: Problems) -> None:
+    """Note what makes cameras that were found inexact, or the object hard to reconstruct from them."""
     if solution.other_models:
         problems.warning(
             "scene.poses_split",
-            f"{listed(list(solution.other_models[0]))} fit together, but not to the {found} others; "
-            "photograph the way from the ones to the others, a step of 10 to 15 degrees at a time",
+            f"{listed(list(solution.other_models[0]))} fit together, but not to the "
+            f"{len(solution.camera_to_world)} others; photograph the way from the ones to the others, a step "
+            "of 10 to 15 degrees at a time",
             solution.other_models[0][0],
         )
     if solution.reprojection_error_px > limits.reprojection_error_px:
         problems.warning(
             "scene.poses_inexact",
             f"points are {measured(solution.reprojection_error_px, 1)} pixels away from where the cameras "
-            "put them; "
-            "fix zoom and focus, hold still, and keep what moves out of the pictures or give masks",
+            "put them; fix zoom and focus, hold still, and keep what moves out of the pictures or give masks",
         )
     if solution.field_deg > limits.field_deg:
         problems.warning(
             "scene.poses_lens",
-            f"the lens would have a field of view of {measured(solution.field_deg)} degrees; if it has "
-            "not, the "
-            "cameras are wrong: something repeats, such as tiles or a fabric, so give masks or cover it",
+            f"the lens would have a field of view of {measured(solution.field_deg)} degrees; if it has not, "
+            "the cameras are wrong: something repeats, such as tiles or a fabric, so give masks or cover it",
         )
     if solution.static_background:
         problems.warning(
             "scene.static_background",
-            f"the background stands still in {measured(100.0 * solution.still_share)} % of the pairs "
-            "while the "
-            "object moves, as on a turntable; only what moves was used for the cameras. The light then turns "
-            "with the camera, seen from the object: train with --light-fixed-to camera",
+            f"the background stands still in {measured(100.0 * solution.still_share)} % of the pairs while "
+            "the object moves, as on a turntable; only what moves was used for the cameras. The light then "
+            "turns with the camera, seen from the object: train with --light-fixed-to camera",
         )
     gap = widest_gap(solution.camera_to_world)
     if gap is not None and gap[0] > limits.gap_deg:
         problems.warning(
             "scene.poses_gap",
             f"there are {measured(gap[0])} degrees between {gap[1]} and {gap[2]} on the way around the "
-            "object; "
-            "photograph the way between them",
+            "object; photograph the way between them",
             gap[1],
         )
 

@@ -168,7 +168,7 @@ def test_what_never_moved_before_a_turntables_camera_is_not_the_object():
     footprint = first_footprint(grid, capture.points.xyz, distance, settings)
 
     def shares(moved: list[np.ndarray] | None) -> list[float]:
-        found = find_on_support(views, views, support, footprint, middle, distance, settings, moved=moved)
+        found = find_on_support(views, support, footprint, middle, distance, settings, moved=moved)
         assert found is not None
         return [
             float(
