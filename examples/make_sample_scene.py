@@ -88,8 +88,8 @@ def llvm_library() -> str | None:
 
     With version 15, which some graphics drivers install, differentiating a picture crashed the process.
     """
-    found = sorted(glob.glob("/usr/lib/*/libLLVM-1[6-9].so") + glob.glob("/usr/lib/*/libLLVM-2?.so"))
-    return os.environ.get("DRJIT_LIBLLVM_PATH") or (found[-1] if found else None)
+    libraries = sorted(glob.glob("/usr/lib/*/libLLVM-1[6-9].so") + glob.glob("/usr/lib/*/libLLVM-2?.so"))
+    return os.environ.get("DRJIT_LIBLLVM_PATH") or (libraries[-1] if libraries else None)
 
 
 def load_renderer() -> None:
@@ -158,7 +158,7 @@ def render(scene: "mi.Scene", pose: np.ndarray, resolution: int, spp: int, seed:
     integrator = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "hide_emitters": True})
     premultiplied = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed))
     if not np.isfinite(premultiplied).all():
-        raise SystemExit("a picture has values that are no numbers; look for triangles without height")
+        raise SystemExit("a picture has values that are not numbers; look for triangles without height")
     return straight(premultiplied[..., :3], premultiplied[..., 3])
 
 
@@ -210,16 +210,16 @@ def truth(
         return grid.mean(axis=(1, 3))
 
     coverage = pixels(mask.astype(np.float64))[..., 0]
-    found = {k: straight(pixels(np.where(mask, v, 0.0)), coverage) for k, v in values.items()}
-    length = np.linalg.norm(found["normal"][..., :3], axis=-1, keepdims=True)
-    found["normal"][..., :3] /= np.where(length > 0, length, 1.0)
+    maps = {k: straight(pixels(np.where(mask, v, 0.0)), coverage) for k, v in values.items()}
+    length = np.linalg.norm(maps["normal"][..., :3], axis=-1, keepdims=True)
+    maps["normal"][..., :3] /= np.where(length > 0, length, 1.0)
     first = (
         label.reshape(resolution, side, resolution, side)
         .transpose(0, 2, 1, 3)
         .reshape(resolution, resolution, -1)
     )
-    found["material"] = np.where((first == first[..., :1]).all(axis=-1), first[..., 0], 255)
-    return found
+    maps["material"] = np.where((first == first[..., :1]).all(axis=-1), first[..., 0], 255)
+    return maps
 
 
 def check_environment(tolerance_pixels: float = 0.25) -> None:

@@ -5,7 +5,7 @@
 Needs Mitsuba 3 (in the `dev` extra) and an LLVM library (Debian: `apt-get install libllvm19`). Each capture
 becomes FOLDER/<name> when it is complete: `photographs/` (JPEG with EXIF and nothing else), `photographs-16/`
 (sixteen of them), and `truth/` (`tabletop/truth.py` says what is in it). Until then it grows in
-FOLDER/<name>.partial; started again, the program goes on where it stopped. The sixteen of every capture are
+FOLDER/<name>.partial; started again, the program continues where it stopped. The sixteen of every capture are
 taken first. The same options give the same pictures.
 """
 

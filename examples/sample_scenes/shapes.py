@@ -149,16 +149,16 @@ def ring(major: float, minor: float, rows: int = 96, columns: int = 48) -> Trian
 
 def solid(distance: Distance, low: Sequence[float], high: Sequence[float], cells: int) -> Triangles:
     """Return the surface of a signed distance between `low` and `high`; texture coordinates are zero."""
-    found = surface(distance, low, high, cells)
-    a, b, c = (found.positions[found.faces[:, k]] for k in range(3))
+    whole = surface(distance, low, high, cells)
+    a, b, c = (whole.positions[whole.faces[:, k]] for k in range(3))
     longest = np.max([np.linalg.norm(edge, axis=-1) for edge in (b - a, c - b, a - c)], axis=0)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=-1)
     return Triangles(
-        positions=found.positions,
-        normals=found.normals,
-        uv=np.zeros((len(found.positions), 2)),
-        # A ray that meets a triangle without height gets coordinates on it that are no numbers.
-        faces=found.faces[area > THINNEST * longest],
+        positions=whole.positions,
+        normals=whole.normals,
+        uv=np.zeros((len(whole.positions), 2)),
+        # A ray that meets a triangle without height gets coordinates on it that are not numbers.
+        faces=whole.faces[area > THINNEST * longest],
     )
 
 

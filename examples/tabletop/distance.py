@@ -103,7 +103,7 @@ def carve(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
 
 
 def rotated(p: np.ndarray, centre: Sequence[float], axis: int, angle_deg: float) -> np.ndarray:
-    """Return points turned back about a coordinate axis through `centre`: what they measure turns forth."""
+    """Return points turned back about a coordinate axis through `centre`: what they measure turns forward."""
     cos, sin = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     first, second = [(1, 2), (2, 0), (0, 1)][axis]
     q = (p - np.float32(centre)).copy()

@@ -1,4 +1,4 @@
-"""What a phone makes of light: exposure, noise, tone, JPEG and EXIF."""
+"""A phone's way from light to a file: exposure, noise, tone, JPEG and EXIF."""
 
 import os
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What objects stand on and what stands around: carpet, sheet, table, paper, cloth, turntable."""
+"""Things below and around an object: carpet, sheet, table, paper, cloth, turntable."""
 
 from typing import Any
 

@@ -113,18 +113,18 @@ def first_hits(scene: "mi.Scene", camera: Camera, dx: float, dy: float) -> First
     jitter = mi.Point2f(dr.opaque(mi.Float, dx), dr.opaque(mi.Float, dy))
     ray = rays(camera, index, jitter)
     hit = scene.ray_intersect(ray)
-    found = hit.is_valid()
+    met = hit.is_valid()
     bsdf = hit.bsdf()
-    colour = bsdf.eval_attribute_3("base_color", hit, found)
-    far = scene.environment().eval(hit, ~found)
-    colour = dr.select(found, colour, mi.Color3f(far.x, far.y, far.z))
+    colour = bsdf.eval_attribute_3("base_color", hit, met)
+    far = scene.environment().eval(hit, ~met)
+    colour = dr.select(met, colour, mi.Color3f(far.x, far.y, far.z))
     normal = hit.sh_frame.n * -dr.sign(dr.dot(hit.sh_frame.n, ray.d))
     shape = dr.reinterpret_array(mi.UInt32, hit.shape)
     dr.eval(colour, normal, shape)
     directions = np.array(normal).T
     axis = np.abs(directions).argmax(axis=-1)
     face = 2 * axis + (np.take_along_axis(directions, axis[:, None], 1)[:, 0] > 0)
-    label = np.where(np.array(found), np.array(shape).astype(np.int64) * NUM_FACES + face, -1)
+    label = np.where(np.array(met), np.array(shape).astype(np.int64) * NUM_FACES + face, -1)
     return FirstHits(colour=np.array(colour).T, label=label, normal=directions)
 
 

@@ -1,4 +1,4 @@
-"""What is true about a capture: cameras, masks, maps and pictures under lights it was not photographed in.
+"""The truth about a capture: cameras, masks, maps and pictures under lights it was not photographed in.
 
 `truth/` is a scene of TensoIR-synthetic's layout with test views only (`scene.json` has its conventions), so
 `tests/references/evaluate.py` scores predictions against it. Beside that layout it has
@@ -115,16 +115,16 @@ def write_view(
         scene, thing = stage.alone(image)
         picture = radiance(scene, camera, spp, seed, alone=True)
         write_picture(partial / f"rgba_{name}", straight(picture[..., :3], picture[..., 3]))
-    found = maps(scene, camera, thing, 4)
-    alpha = found["coverage"][..., None]
-    normal = found["normal"] / np.maximum(np.linalg.norm(found["normal"], axis=-1, keepdims=True), 1e-6)
-    write_png(partial / "albedo.png", np.concatenate([found["albedo"], alpha], axis=-1))
+    truth = maps(scene, camera, thing, 4)
+    alpha = truth["coverage"][..., None]
+    normal = truth["normal"] / np.maximum(np.linalg.norm(truth["normal"], axis=-1, keepdims=True), 1e-6)
+    write_png(partial / "albedo.png", np.concatenate([truth["albedo"], alpha], axis=-1))
     write_png(partial / "normal.png", np.concatenate([0.5 * normal + 0.5, alpha], axis=-1))
     for name in ("roughness", "metallic"):
-        write_png(partial / f"{name}.png", found[name][..., None])
+        write_png(partial / f"{name}.png", truth[name][..., None])
     if not small:
         for name in ("albedo", "normal", "roughness", "metallic", "distance"):
-            write_exr(partial / f"{name}.exr", found[name].reshape(*alpha.shape[:2], -1))
+            write_exr(partial / f"{name}.exr", truth[name].reshape(*alpha.shape[:2], -1))
         scene, thing = stage.scene(shot.turn_deg)
         write_exr(partial / "rgba_scene.exr", photograph(scene, thing, shot.camera, spp, seed, 60.0))
     metadata = {

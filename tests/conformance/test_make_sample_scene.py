@@ -8,7 +8,7 @@ import lambent
 import make_sample_scene
 import numpy as np
 import pytest
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_core.colour import srgb_from_linear
 from lambent_core.exr import read_exr_parts
 from lambent_relight.environment.maps import load_environment
@@ -139,7 +139,7 @@ def test_material_is_one_number_where_albedo_is_uniform(folder: Path):
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", [SAMPLE, STILL_LIFE])
 def test_the_reader_finds_nothing_wrong_and_nothing_that_does_not_belong(folder: Path):
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert report.usable
     assert [f"{finding.code}: {finding.message}" for finding in report.findings] == []
 

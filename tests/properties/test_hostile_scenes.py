@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.problems import MAX_FINDINGS
 from lambent_proto.v1 import scene_pb2
 from support.captures import read_transforms, write_blender, write_tensoir, write_transforms
@@ -47,7 +47,7 @@ def test_any_value_in_transforms_json_ends_in_a_report(key, value, frame):
         transforms = read_transforms(folder)
         (transforms if frame < 0 else transforms["frames"][frame])[key] = value
         write_transforms(folder, "train", transforms)
-        assert_is_report(inspect_capture(folder)[0])
+        assert_is_report(inspect_files(folder).report)
 
 
 @QUICK
@@ -57,7 +57,7 @@ def test_any_value_in_metadata_json_ends_in_a_report(key, value):
         folder = write_tensoir(Path(name), num_train=3, num_test=0)
         path = folder / "train_001" / "metadata.json"
         path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
-        assert_is_report(inspect_capture(folder)[0])
+        assert_is_report(inspect_files(folder).report)
 
 
 @QUICK
@@ -69,7 +69,7 @@ def test_any_value_in_scene_json_ends_in_a_report(key, value):
     with tempfile.TemporaryDirectory() as name:
         folder = write_tensoir(Path(name), num_train=3, num_test=0)
         (folder / "scene.json").write_text(json.dumps({"train_env": "sunset", key: value}))
-        assert_is_report(inspect_capture(folder)[0])
+        assert_is_report(inspect_files(folder).report)
 
 
 @QUICK
@@ -87,4 +87,4 @@ def test_any_damage_to_a_picture_ends_in_a_report(suffix, start, damage, keep):
         data[start : start + len(damage)] = damage
         path.unlink()
         path.with_suffix(suffix).write_bytes(data[: int(keep * len(data))])
-        assert_is_report(inspect_capture(folder)[0])
+        assert_is_report(inspect_files(folder).report)

@@ -1,4 +1,4 @@
-"""Whether a row of the corpus is read right."""
+"""The judgement whether a row of the corpus is read right."""
 
 import traceback
 from pathlib import Path

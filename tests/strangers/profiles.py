@@ -1,4 +1,4 @@
-"""ICC profiles, EXIF blocks and PNG files, byte by byte: no library chooses what stands in them."""
+"""ICC profiles, EXIF blocks and PNG files, byte by byte: no library chooses what they say."""
 
 import struct
 import zlib
@@ -16,7 +16,7 @@ _REC709_CURVE = (1 / 0.45, 1 / 1.099, 0.099 / 1.099, 1 / 4.5, 0.081)
 def rgb_profile(space: Space, code_points: tuple[int, int] | None = None) -> bytes:
     """Return a profile (version 4) of three primaries and one curve.
 
-    `code_points` of ITU-T H.273, of primaries and transfer, stand in a tag of their own (ICC.1:2022, 9.2.17).
+    `code_points` of ITU-T H.273, of primaries and transfer, have a tag of their own (ICC.1:2022, 9.2.17).
     """
     matrix = xyz_from(space.primaries, space.white)
     matrix = adapted(matrix.sum(axis=1), _D50) @ matrix

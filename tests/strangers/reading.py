@@ -1,4 +1,4 @@
-"""What the product makes of a capture, seen from every place that reads its pictures."""
+"""The product's reading of a capture, seen from every place that reads its pictures."""
 
 import re
 import traceback
@@ -31,7 +31,7 @@ VAGUE = frozenset({"scene.refused", "scene.check_failed", "scene.layout_unknown"
 """Codes that do not say what is wrong with a picture."""
 _REC601 = np.array([0.299, 0.587, 0.114])
 FURTHER = frozenset({"scene.too_few_images", "scene.mirrored"})
-"""Codes that may stand beside that of the cause: what follows from it, and what is true as well."""
+"""Codes that may accompany that of the cause: what follows from it, and what is true as well."""
 RIGHT, REFUSED, SILENT, TRACEBACK, UNCLEAR = "right", "refused", "silent", "traceback", "unclear"
 
 

@@ -32,7 +32,7 @@ class Row:
     count: int = COUNT
     has_cameras: bool = True
     needs: tuple[str, ...] = ()
-    """Codes of findings that are there."""
+    """Codes of the expected findings."""
     lacks: tuple[str, ...] = ()
     """Codes of findings that are not."""
     or_said: tuple[str, ...] = ()

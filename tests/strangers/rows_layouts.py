@@ -203,7 +203,7 @@ row("a20d colmap/sparse/0", _colmap("colmap/sparse/0"))
 row("a20e model at the root", _colmap(".", model={"binary": False}))
 row("a20f sparse/0", _colmap("sparse/0"), light=BALL)
 
-# Layouts: photographs with what lies beside them.
+# Layouts: photographs with the files beside them.
 
 
 def _polycam(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""How files of each format state their colours, and what the statement means."""
+"""Statements of colours in files of each format, and their meaning."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What strangers bring is read right, or refused with the file, the cause and what to do."""
+"""Files of strangers are read right, or refused with the file, the cause and what to do."""
 
 import sys
 import warnings

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from lambent_capture.checks.picture_camera import PictureCamera
 from lambent_capture.masks.consensus import MaskView
-from lambent_capture.masks.photograph import Photograph, SparsePoints, of_pictures
+from lambent_capture.masks.photograph import Photograph, SparsePoints
 from numpy import ndarray
 from scipy import ndimage
 from support.ball_views import ball_hits, rays
@@ -36,6 +36,11 @@ class BallOnTable:
     """Whether it shows the block."""
     points: SparsePoints
     """On the table and the ball, with an error of a thousandth of the distance."""
+
+
+def of_pictures(views: list[MaskView]) -> list[Photograph]:
+    """Return pictures that are decoded already as photographs."""
+    return [Photograph(view.name, view.camera, lambda side, view=view: view.image_srgb) for view in views]
 
 
 def table_cameras(count: int, distortion: tuple[float, ...] = DISTORTION) -> list[PictureCamera]:

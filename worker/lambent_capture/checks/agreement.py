@@ -71,21 +71,21 @@ def compare(
     # The cells on which all trusted views but one agree; a view in doubt has no vote to subtract.
     cores = [hull.cells(against, 0, v if trusted[v] else None) for v in views]
     dense = _have_neighbours(hull, silhouettes)
-    found = [
+    agreements = [
         _look(silhouettes[v], hull.points[cores[v]], explained[v], unexplained[v], dense=bool(dense[v]))
         for v in views
     ]
-    suspects = [v for v in views if trusted[v] and found[v].missed_share > _MISSED_WORTH_A_LOOK]
-    for v in sorted(suspects, key=lambda v: -found[v].missed_share)[:_MAX_LOOKS]:
-        found[v] = replace(found[v], carved_share=_carved(hull, silhouettes, v, cores[v], trusted))
+    suspects = [v for v in views if trusted[v] and agreements[v].missed_share > _MISSED_WORTH_A_LOOK]
+    for v in sorted(suspects, key=lambda v: -agreements[v].missed_share)[:_MAX_LOOKS]:
+        agreements[v] = replace(agreements[v], carved_share=_carved(hull, silhouettes, v, cores[v], trusted))
     for v in views:
         if (
-            max(found[v].unexplained_share, found[v].carved_share, found[v].hole_share)
+            max(agreements[v].unexplained_share, agreements[v].carved_share, agreements[v].hole_share)
             > 0.5 * unexplained_limit
         ):
             moved = moved_share(silhouettes[v], hull.points[cores[v]], hull.spacing)
-            found[v] = replace(found[v], moved_share=moved)
-    return found
+            agreements[v] = replace(agreements[v], moved_share=moved)
+    return agreements
 
 
 def _share(part: Bool[ndarray, "height width"], whole: Bool[ndarray, "height width"]) -> float:

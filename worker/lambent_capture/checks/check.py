@@ -121,7 +121,7 @@ def _run_child(
     try:
         check, reading = _understand(output, folder, code)
     except (json_format.ParseError, ValueError, TypeError, AttributeError, RecursionError, OSError):
-        # No check writes this: somebody else's code runs in the child.
+        # No check writes this: foreign code runs in the child.
         return None, _last_announced(output), STOPPED
     return check, reading, STOPPED if code == -signal.SIGSYS else TOO_LARGE
 
@@ -231,18 +231,18 @@ def _file_in(folder: Path, value: object) -> str:
     root = folder.resolve()
     if Path(name).is_absolute() or ".." in Path(name).parts:
         raise ValueError(f"{name} is outside of the folder")
-    found = (root / name).resolve(strict=True)
-    if not found.is_relative_to(root) or not found.is_file():
-        raise ValueError(f"{name} is no file of the folder")
+    path = (root / name).resolve(strict=True)
+    if not path.is_relative_to(root) or not path.is_file():
+        raise ValueError(f"{name} is not a file of the folder")
     return name
 
 
 def _object(text: str) -> dict[str, Any]:
     """Return a JSON object; ValueError for anything else."""
-    found = json.loads(text)
-    if not isinstance(found, dict):
+    value = json.loads(text)
+    if not isinstance(value, dict):
         raise ValueError(f"no object: {text[:40]}")
-    return found
+    return value
 
 
 def _last_announced(output: str) -> str | None:

@@ -64,9 +64,9 @@ def check(
             tell_measured(looked.figures, looked.thumbnails, looked.portrait)
         tell("report", MessageToDict(looked.report))
         return
-    found = inspect_files(folder, layout, killers, announce, masks, cameras)
-    report, manifest = found.report, found.manifest
-    tell("left_out", found.left_out)
+    inspection = inspect_files(folder, layout, killers, announce, masks, cameras)
+    report, manifest = inspection.report, inspection.manifest
+    tell("left_out", inspection.left_out)
     if manifest is not None and report.usable:
         measure(folder, manifest, report)
     tell("report", MessageToDict(report))

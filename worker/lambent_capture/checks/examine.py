@@ -44,7 +44,7 @@ def examine_capture(
     """Return the measurements of a usable capture.
 
     `announce` is called with the path of each file before it is decoded, and with "" once none is. Raises
-    `PictureError` for a picture that cannot be read; `inspect_capture` has found those.
+    `PictureError` for a picture that cannot be read; `inspect_files` has found those.
     """
     observations = observe(folder, manifest, limits, announce)
     announce("")

@@ -20,7 +20,7 @@ the sample scene, 0.33 on a diffuse crate, 0.31 on polished metal."""
 LEAST_NOISE_EV = 0.03
 """The noise is not taken for smaller than this."""
 LEAST_SHARE = 0.5
-"""Share of an offset that must be left after shrinking for any to be believed."""
+"""Share of an offset that must be left after shrinking for any of it to count."""
 CONTRADICTED = 0.25
 """Files contradict their pictures where without what they say at most this share of the variance is left."""
 """Data sets whose exposure is fixed, and known to be."""
@@ -50,9 +50,8 @@ def even_out_exposure(
         problems.warning(
             "scene.exposure_contradicted",
             "the photographs say that they were exposed differently (by up to "
-            f"{measured(_range_ev(stated), 1)} EV), "
-            "but show the same points equally bright, so what they say is not used; check whether their "
-            "brightness was changed afterwards or their EXIF was copied",
+            f"{measured(_range_ev(stated), 1)} EV), but show the same points equally bright, so what they "
+            "say is not used; check whether their brightness was changed afterwards or their EXIF was copied",
         )
         stated, left = np.ones_like(stated), without
     share = believed_share(left, noise)
@@ -90,10 +89,9 @@ def _note_estimate(
     brightest, darkest = int(offsets.argmax()), int(offsets.argmin())
     problems.warning(
         "scene.exposure_estimated",
-        f"the same points of the object differ by {measured(np.ptp(offsets), 1)} EV between "
-        "photographs, from "
-        f'"{manifest.frames[darkest].name}" to "{manifest.frames[brightest].name}", which is taken for a '
-        "change of exposure and evened out; fixed exposure and white balance give better colours",
+        f"the same points of the object differ by {measured(np.ptp(offsets), 1)} EV between photographs, "
+        f'from "{manifest.frames[darkest].name}" to "{manifest.frames[brightest].name}", which is taken for '
+        "a change of exposure and evened out; fixed exposure and white balance give better colours",
         manifest.frames[brightest].name,
     )
 

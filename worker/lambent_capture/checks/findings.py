@@ -10,8 +10,6 @@ from lambent_proto.v1 import capture_pb2
 from lambent_capture.checks.limits import CaptureLimits
 from lambent_capture.problems import Problems
 
-View = capture_pb2.ViewFigures
-
 
 @dataclass(frozen=True, slots=True)
 class _Complaint:

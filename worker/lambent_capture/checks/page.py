@@ -55,11 +55,11 @@ def _by_view(report: scene_pb2.SceneReport, figures: capture_pb2.CaptureFigures)
     """Return the codes of the findings about each view, whether they name the frame or its file."""
     owner = {view.name: view.name for view in figures.views}
     owner |= {picture.path: view.name for view in figures.views for picture in view.pictures}
-    found: dict[str, set[str]] = {}
+    codes: dict[str, set[str]] = {}
     for finding in report.findings:
         if finding.subject in owner:
-            found.setdefault(owner[finding.subject], set()).add(finding.code)
-    return found
+            codes.setdefault(owner[finding.subject], set()).add(finding.code)
+    return codes
 
 
 def _figures(

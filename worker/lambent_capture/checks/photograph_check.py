@@ -1,12 +1,12 @@
 """The check of photographs whose cameras are not known yet: each for itself, and whether they differ."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from lambent_core.layouts import PHOTOGRAPHS
 from lambent_proto.v1 import capture_pb2, scene_pb2
 
+from lambent_capture.checks.check_result import CaptureCheck
 from lambent_capture.checks.photograph_findings import note_photographs
 from lambent_capture.checks.photograph_limits import PhotographLimits
 from lambent_capture.checks.photographs import PhotographsFigures, look
@@ -19,27 +19,12 @@ from lambent_capture.problems import Problems
 SCHEMA_VERSION = "1.0"
 
 
-@dataclass(frozen=True, slots=True)
-class PhotographCheck:
-    """The result of `check_photographs`."""
-
-    report: scene_pb2.SceneReport
-    figures: capture_pb2.CaptureFigures | None
-    """None where the photographs cannot be used."""
-    thumbnails: Mapping[str, str]
-    """JPEG in base64 by name of the frame."""
-    left_out: tuple[str, ...]
-    """Photographs that cannot be used, few enough to do without."""
-    portrait: str = ""
-    """The picture by which people recognise the capture, JPEG in base64."""
-
-
 def check_photographs(
     folder: Path,
     masks: Path | None,
     skip: Mapping[str, str] = NOTHING_SKIPPED,
     announce: Callable[[str], None] = lambda path: None,
-) -> PhotographCheck:
+) -> CaptureCheck:
     """Return what is to be said of the photographs in `folder` after decoding each of them once.
 
     `masks` is a folder of masks named like them; `skip` and `announce` as in `inspect.inspect_files`. The
@@ -63,11 +48,17 @@ def check_photographs(
         num_train_frames=len(frames) - (len(seen.left_out) if seen is not None else 0),
     )
     if seen is None or not usable:
-        return PhotographCheck(report, None, {}, ())
+        return CaptureCheck(report=report)
     masked = any(frame.mask for frame in frames)
     figures = _figures(seen, names, masked=masked)
     thumbnails = {names[path]: jpeg for path, jpeg in seen.thumbnails.items()}
-    return PhotographCheck(report, figures, thumbnails, seen.left_out, seen.portrait)
+    return CaptureCheck(
+        report=report,
+        figures=figures,
+        thumbnails=thumbnails,
+        portrait=seen.portrait,
+        left_out=seen.left_out,
+    )
 
 
 def _figures(

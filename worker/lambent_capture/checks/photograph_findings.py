@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from lambent_core.measured import measured
@@ -12,10 +12,7 @@ from lambent_capture.checks.photographs import (
     MASK_AMONG_PHOTOGRAPHS,
     PhotographFigures,
     PhotographsFigures,
-    look,
 )
-from lambent_capture.layouts.picture_files import photographs_in
-from lambent_capture.pictures.picture_error import NOTHING_SKIPPED
 from lambent_capture.problems import Problems
 from lambent_capture.scenes.frames import listed
 
@@ -27,25 +24,6 @@ _VIDEO_SHAPES = (16 / 9, 9 / 16, 4 / 3, 3 / 4, 256 / 135, 135 / 256)
 _VIDEO_SIDES = frozenset({480, 540, 576, 720, 1080, 1440, 2160, 4320})
 _SCREEN_ASPECTS = (1.5, 2.25)
 """Long over short side of screens: from tablets at 3:2 to telephones at 20:9."""
-
-
-def look_at_folder(
-    folder: Path,
-    problems: Problems,
-    limits: PhotographLimits = LIMITS,
-    announce: Callable[[str], None] = lambda name: None,
-    skip: Mapping[str, str] = NOTHING_SKIPPED,
-) -> PhotographsFigures:
-    """Return the figures of all photographs below `folder`, after noting in `problems` what is wrong with
-    them.
-
-    `announce` and `skip` as in `photographs.look`.
-    """
-    names = photographs_in(folder, problems)
-    figures = look(folder, names if problems.usable else (), limits, announce, skip)
-    if names and problems.usable:
-        note_photographs(figures, problems, limits)
-    return figures
 
 
 def note_photographs(
@@ -66,17 +44,14 @@ def note_photographs(
         problems.warning(
             "scene.video_frames",
             f"the {len(usable)} photographs seem to be frames of a video: compressed, and read out line by "
-            "line "
-            "while the camera moves, which bends what they show; photographs give a better result, or move "
-            "slowly",
+            "line while the camera moves, which bends what they show; photographs give a better result, or "
+            "move slowly",
         )
     if figures.exposure_range_ev > limits.exposure_ev:
         problems.warning(
             "scene.exposure_spread",
-            f"the photographs differ in brightness by {measured(figures.exposure_range_ev, 1)} EV; fix "
-            "the exposure "
-            "(on a "
-            "telephone: hold the finger on the object until it is locked)",
+            f"the photographs differ in brightness by {measured(figures.exposure_range_ev, 1)} EV; fix the "
+            "exposure (on a telephone: hold the finger on the object until it is locked)",
         )
 
 
@@ -101,8 +76,7 @@ def _note_numbers(figures: PhotographsFigures, limits: PhotographLimits, problem
         problems.error(
             "scene.too_few_images",
             f"{len(usable)} of {total} photographs can be used; {limits.min_photographs} are needed at "
-            "least, 40 "
-            "are good",
+            "least, 40 are good",
         )
         return False
     if all(each.is_like_a_mask for each in usable):
@@ -132,16 +106,14 @@ def _note_nothing_to_see(figures: PhotographsFigures, num_blank: int, shown: int
         problems.error(
             "scene.image_blank",
             f"{num_blank} of {len(usable)} photographs show one colour and nothing else; look at them, and "
-            "take them "
-            "again with light",
+            "take them again with light",
         )
         return
     problems.error(
         "scene.photographs_same",
         f"the {len(usable)} photographs show {shown} different views, at least 3 are needed: the rest repeat "
         "another, because files were copied or because neither camera nor object moved; move the camera "
-        "around the "
-        "object by 10 degrees between photographs",
+        "around the object by 10 degrees between photographs",
         next(each.name for each in usable if each.same_as),
     )
 
@@ -159,9 +131,8 @@ def _note_each(usable: Sequence[PhotographFigures], limits: PhotographLimits, pr
     _note(
         "scene.image_blurred",
         sorted(blurred, key=lambda each: each.sharpness),
-        f"blurred photographs, with less than {measured(100.0 * limits.sharpness)} % of the fine "
-        "detail of the "
-        "sharpest",
+        f"blurred photographs, with less than {measured(100.0 * limits.sharpness)} % of the fine detail of "
+        "the sharpest",
         "take them again in focus and without motion, or leave them out",
         problems,
     )

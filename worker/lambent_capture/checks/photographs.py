@@ -3,16 +3,14 @@
 For the check's child process, which limits memory and time. Findings: `photograph_findings.note_photographs`.
 """
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
 from lambent_core.files import file_sha256
-from lambent_core.measured import significant
 from numpy import ndarray
 
 from lambent_capture.checks import photograph_measures as measures
@@ -72,14 +70,12 @@ class PhotographsFigures:
     """Measurements of the photographs in a folder."""
 
     photographs: tuple[PhotographFigures, ...]
-    lenses: Mapping[str, int]
-    """Photographs by camera, lens, focal length and size up to a quarter turn."""
     exposure_range_ev: float
     """Between the 5th and 95th percentile of the median brightness."""
     thumbnails: Mapping[str, str]
     """JPEG in base64 by name."""
     portrait: str
-    """The first photograph that is no mask, by which people recognise them: JPEG in base64; empty without
+    """The first photograph that is not a mask, by which people recognise them: JPEG in base64; empty without
     any that can be read."""
 
     @property
@@ -88,22 +84,9 @@ class PhotographsFigures:
         return tuple(each for each in self.photographs if not each.fault)
 
     @property
-    def num_different(self) -> int:
-        """Return how many usable photographs show something of their own."""
-        return sum(not each.same_as for each in self.usable)
-
-    @property
     def left_out(self) -> tuple[str, ...]:
         """Return the names of the photographs with a fault."""
         return tuple(each.name for each in self.photographs if each.fault)
-
-    def record(self) -> dict[str, Any]:
-        """Return everything but the thumbnails as JSON."""
-        return {
-            "photographs": [asdict(each) for each in self.photographs],
-            "lenses": dict(self.lenses),
-            "exposure_range_ev": self.exposure_range_ev,
-        }
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -159,7 +142,6 @@ def look(
     low, high = np.percentile(shown or [0.0], [5.0, 95.0])
     return PhotographsFigures(
         photographs=photographs,
-        lenses=Counter(_lens(each) for each in usable),
         exposure_range_ev=float(high - low),
         thumbnails={name: each.thumbnail for name, each in seen.items()},
         portrait=next((portraits[rank] for rank in sorted(portraits)), ""),
@@ -255,14 +237,3 @@ def _compare(rows: list[dict[str, Any]], seen: Mapping[str, _Seen], limits: Phot
             row["alike"] = names[int(flipped.argmin())]
         smalls[count], bits[count] = small, each.bits
         names.append(row["name"])
-
-
-def _lens(each: PhotographFigures) -> str:
-    """Return what tells the lens of a photograph from another, in words."""
-    facts = each.facts
-    long, short = max(each.width, each.height), min(each.width, each.height)
-    words = [facts.camera, facts.lens if facts.lens != facts.camera else ""]
-    words.append(f"{significant(facts.focal_mm, 4)} mm" if facts.focal_mm else "")
-    words.append(f"zoom {significant(facts.digital_zoom, 3)}" if facts.digital_zoom > 1.0 else "")
-    known = ", ".join(word for word in words if word)
-    return f"{known or 'unknown camera'}, {long} x {short}"

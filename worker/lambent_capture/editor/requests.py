@@ -1,4 +1,4 @@
-"""What the page that corrects masks asks for, below an address that nobody can guess."""
+"""Requests of the page that corrects masks, below an address that nobody can guess."""
 
 import json
 import secrets

@@ -67,15 +67,15 @@ def deeper_layout(folder: Path) -> str | None:
 
 def deeper(folder: Path) -> list[tuple[PurePosixPath, str]]:
     """Return the folders in `folder` that have cameras, with their layout; of nested ones the outer one."""
-    found: list[tuple[PurePosixPath, str]] = []
+    places: list[tuple[PurePosixPath, str]] = []
     for place in folders_below(folder):
-        if any(place.is_relative_to(other) for other, _ in found) or _is_of_a_run(folder / place):
+        if any(place.is_relative_to(other) for other, _ in places) or _is_of_a_run(folder / place):
             continue
         nested = (name for name, known in LAYOUTS.items() if known.nested)
         layout = next((name for name in nested if reader_of(name).is_layout(folder / place)), None)
         if layout is not None:
-            found.append((place, layout))
-    return found
+            places.append((place, layout))
+    return places
 
 
 def _is_of_a_run(folder: Path) -> bool:
@@ -125,19 +125,19 @@ def note_passed_over(folder: Path, problems: Problems) -> None:
 
 
 def _note_unread(folder: Path, problems: Problems) -> None:
-    found = []
+    unread = []
     for place in (ROOT, *folders_below(folder)):
         for name in names_in(folder / place):
             pattern = next((each for each in _UNREAD if fnmatch.fnmatch(name.lower(), each)), None)
             if pattern is not None and not _is_of_a_run(folder / place):
-                found.append(((place / name).as_posix(), _UNREAD[pattern]))
+                unread.append(((place / name).as_posix(), _UNREAD[pattern]))
             elif name == "cameras.bin" and not images_file(folder / place).is_file():
-                found.append(((place / name).as_posix(), "COLMAP, without images.bin"))
-    if found:
-        said = listed([f"{name} ({whose})" for name, whose in found])
+                unread.append(((place / name).as_posix(), "COLMAP, without images.bin"))
+    if unread:
+        said = listed([f"{name} ({whose})" for name, whose in unread])
         problems.warning(
             "scene.cameras_unused",
             f"cameras in a form that is not read are not used: {said}; export them as COLMAP's model or as a "
             "transforms.json, or let Lambent find them again",
-            found[0][0],
+            unread[0][0],
         )

@@ -228,14 +228,14 @@ def _set_masks(folder: Path, pictures: str, masks: str, capture: Capture, proble
     for frame in capture.frames:
         picture = PurePosixPath(frame.images[0].path)
         candidates = _mask_names(PurePosixPath(masks) / picture.relative_to(pictures))
-        found = find_file(folder, candidates)
-        astray = next((each for each in candidates if found is None and link_out(folder, each)), None)
+        mask = find_file(folder, candidates)
+        astray = next((each for each in candidates if mask is None and link_out(folder, each)), None)
         if astray is not None:
             problems.lost("scene.file_linked", f"{astray} lies behind a link out", astray.as_posix())
-        elif found is None:
+        elif mask is None:
             lacking.append((frame, candidates[0]))
         else:
-            frame.mask = found.as_posix()
+            frame.mask = mask.as_posix()
     if 2 * len(lacking) > len(capture.frames):
         names = [frame.images[0].path for frame, _ in lacking]
         problems.warning(

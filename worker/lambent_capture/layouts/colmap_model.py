@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, TextIO
 from lambent_capture.scenes.reading import text_encoding
 
 UNDISTORT = "run colmap image_undistorter and give its result"
-"""What to do about a camera that is no pinhole."""
+"""What to do about a camera that is not a pinhole."""
 MAX_ENTRIES = 100_000
 MAX_NAME_BYTES = 4096
 
@@ -129,7 +129,7 @@ def _cameras_from_text(path: Path) -> dict[int, ColmapCamera]:
             )
         except (ValueError, IndexError) as error:
             raise ModelError(
-                f"line {line_number} is no camera (number, model, width, height, ...)"
+                f"line {line_number} is not a camera (number, model, width, height, ...)"
             ) from error
         if number in cameras:
             raise ModelError(f"line {line_number} describes camera {number} again")
@@ -158,8 +158,8 @@ def _images_from_text(path: Path) -> list[ColmapImage]:
             images.append(ColmapImage(words[9].strip(), int(words[8]), rotation, translation, int(words[0])))
         except (ValueError, IndexError) as error:
             raise ModelError(
-                f"line {line_number} is no image (number, 4 of rotation, 3 of translation, camera, name); "
-                "every image takes two lines, the second of which may be empty"
+                f"line {line_number} is not an image (number, 4 of rotation, 3 of translation, camera, "
+                "name); every image takes two lines, the second of which may be empty"
             ) from error
         if len(images) > MAX_ENTRIES:
             raise ModelError(f"has more than {MAX_ENTRIES} images")
@@ -181,18 +181,18 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             for number, line in enumerate(file, start=1):
                 yield number, line.strip()
     except UnicodeDecodeError as error:
-        raise ModelError("is no text") from error
+        raise ModelError("is not text") from error
 
 
 def _stated_count(line: str, key: str, before: int | None) -> int | None:
-    _, found, rest = line.partition(key)
+    _, announced, rest = line.partition(key)
     digits = rest.split(",")[0].strip()
-    return int(digits) if found and digits.isdigit() and len(digits) < 10 else before
+    return int(digits) if announced and digits.isdigit() and len(digits) < 10 else before
 
 
-def _compare_count(stated: int | None, found: int, what: str) -> None:
-    if stated is not None and stated != found:
-        raise ModelError(f"announces {stated} {what} and holds {found}")
+def _compare_count(stated: int | None, count: int, what: str) -> None:
+    if stated is not None and stated != count:
+        raise ModelError(f"announces {stated} {what} and holds {count}")
 
 
 def _cameras_from_binary(path: Path) -> dict[int, ColmapCamera]:
@@ -259,9 +259,9 @@ def _name(file: BinaryIO, what: str) -> str:
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise ModelError(f"has a name that is no text in {what}") from error
+        raise ModelError(f"has a name that is not text in {what}") from error
 
 
 def _at_end(file: BinaryIO) -> None:
     if file.read(1):
-        raise ModelError("goes on after the entries it announces")
+        raise ModelError("continues after the entries it announces")

@@ -72,11 +72,11 @@ def picture_folder(folder: Path, at: PurePosixPath, model: str, names: Sequence[
     for place in (*places, *others):
         if not (folder / place).is_dir():
             continue
-        found = sum(_is_there(folder / place, name) for name in sample)
-        if 2 * found >= max(1, len(sample)):
+        count = sum(_is_there(folder / place, name) for name in sample)
+        if 2 * count >= max(1, len(sample)):
             return place
-        if found > most:
-            best, most = place, found
+        if count > most:
+            best, most = place, count
     return best
 
 
@@ -137,9 +137,9 @@ def _models(folder: Path) -> list[str]:
             if _suffix(folder, "images") and _suffix(folder, "cameras"):
                 return ["."]
             continue
-        found = [place for place in (*numbered, group) if _suffix(folder / place, "images")]
-        if found:
-            return found[:MAX_MODELS]
+        models = [place for place in (*numbered, group) if _suffix(folder / place, "images")]
+        if models:
+            return models[:MAX_MODELS]
     return []
 
 

@@ -59,7 +59,7 @@ def _from_binary(path: Path) -> ColmapPoints:
     except (struct.error, ValueError, OverflowError) as problem:
         raise ModelError("is cut off") from problem
     if at != len(data):
-        raise ModelError("goes on after its last point")
+        raise ModelError("continues after its last point")
     return _checked(np.array(xyz).reshape(-1, 3), np.array(errors), images)
 
 
@@ -75,7 +75,7 @@ def _from_text(path: Path) -> ColmapPoints:
                 errors.append(float(values[7]))
                 images.append(frozenset(int(value) for value in values[8::2]))
             except (ValueError, IndexError) as error:
-                raise ModelError(f"has a line that is no point: {line[:60]!r}") from error
+                raise ModelError(f"has a line that is not a point: {line[:60]!r}") from error
     if any(len(point) != 3 for point in xyz):
         raise ModelError("has a point without three coordinates")
     return _checked(np.array(xyz).reshape(-1, 3), np.array(errors), images)

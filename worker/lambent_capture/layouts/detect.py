@@ -60,7 +60,7 @@ def collect_scene(
     broken: Mapping[str, scene_pb2.Finding] = MappingProxyType({}),
     cameras: Path | None = None,
 ) -> scene_pb2.SceneManifest | None:
-    """Return the manifest of `folder` as far as it is readable; all problems are added to `problems`.
+    """Return the manifest of all that is readable in `folder`; all problems are added to `problems`.
 
     `layout` forces a reader instead of detecting one; a name that is not in `LAYOUTS` is a `UsageError`.
     `masks` is a folder of masks that override those of the layout, `cameras` one of cameras that were found

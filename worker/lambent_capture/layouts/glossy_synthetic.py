@@ -90,25 +90,25 @@ def read_capture(folder: Path, problems: Problems) -> Capture:
 def _object_folders(folder: Path) -> list[Path]:
     """Return the folders with cameras: this one, or those one or two levels below."""
     for pattern in ("*-camera.pkl", "*/*-camera.pkl", "*/*/*-camera.pkl"):
-        found = sorted({path.parent for path in folder.glob(pattern) if _CAMERA.match(path.name)})
-        if found:
-            return found
+        folders = sorted({path.parent for path in folder.glob(pattern) if _CAMERA.match(path.name)})
+        if folders:
+            return folders
     return []
 
 
 def _read_split(folder: Path, place: Path, names: set[str], problems: Problems) -> tuple[set[str], set[str]]:
     """Return the names of test and training frames; both empty where no split file is in the folder."""
     places = [place, *(parent for parent in place.parents if parent == folder or folder in parent.parents)]
-    found = [path for parent in places for path in sorted(parent.iterdir()) if _SPLIT.match(path.name)]
-    if not found:
+    files = [path for parent in places for path in sorted(parent.iterdir()) if _SPLIT.match(path.name)]
+    if not files:
         problems.warning(
             "scene.split_missing",
             "there is no synthetic_split_128.pkl in the folder, so every eighth picture is held out; copy "
             "the file into it to measure on the published test views",
         )
         return set(), set()
-    subject = found[0].relative_to(folder).as_posix()
-    value = _read_pickle(found[0], subject, problems)
+    subject = files[0].relative_to(folder).as_posix()
+    value = _read_pickle(files[0], subject, problems)
     if value is None:
         return set(), set()
     lists = list(value) if isinstance(value, list | tuple) else []

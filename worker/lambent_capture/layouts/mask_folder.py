@@ -37,13 +37,13 @@ def attach_masks(
     used: set[Path] = set()
     lacking = []
     for frame in manifest.frames:
-        found = next((files[name] for name in _names(frame, stems) if name in files), None)
-        if found is None:
+        file = next((files[name] for name in _names(frame, stems) if name in files), None)
+        if file is None:
             lacking.append(frame.name)
             continue
-        used.add(found)
-        inside = found.is_relative_to(folder)
-        frame.mask = (found.relative_to(folder) if inside else found.resolve()).as_posix()
+        used.add(file)
+        inside = file.is_relative_to(folder)
+        frame.mask = (file.relative_to(folder) if inside else file.resolve()).as_posix()
         frame.mask_encoding = ""
     if lacking:
         problems.error(
@@ -87,7 +87,7 @@ def _files_by_name(folder: Path) -> dict[str, Path]:
 
 
 def masks_beside(folder: Path, photographs: Sequence[str], problems: Problems) -> dict[str, str]:
-    """Return the masks that lie beside `photographs` of the capture in `folder`, if all have a fitting one.
+    """Return the masks next to `photographs` of the capture in `folder`, if all have a fitting one.
 
     Paths are relative to `folder`. Masks that are not used are noted in `problems`.
     """
@@ -111,7 +111,7 @@ def masks_beside(folder: Path, photographs: Sequence[str], problems: Problems) -
 
 
 def attach_masks_beside(frames: Sequence[scene_pb2.Frame], folder: Path, problems: Problems) -> None:
-    """Give `frames` of the capture in `folder` the masks that lie beside their photographs, if all have one.
+    """Give `frames` of the capture in `folder` the masks next to their photographs, if all have one.
 
     Frames that have masks already, and captures that have none, are left as they are; masks that are not used
     are noted in `problems`.

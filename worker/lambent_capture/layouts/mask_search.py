@@ -1,4 +1,4 @@
-"""Finds the masks that lie beside photographs: in a folder of their own, or as a second file of each.
+"""Finds the masks next to photographs: in a folder of their own, or as a second file of each.
 
 images/0001.jpg   masks/0001.png  mask/0001.jpg.png  images_masks/0001_mask.png  segmentation/0001.png
 0001.jpg          0001_mask.png   0001.mask.png      0001.jpg.mask.png           mask_0001.png
@@ -27,7 +27,7 @@ LEAST_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class MaskPlace:
-    """Masks that lie in one place, or beside their photographs."""
+    """Masks that lie in one place, or next to their photographs."""
 
     name: str
     """How to call it in messages."""
@@ -58,7 +58,7 @@ def mask_places(pictures: Sequence[str]) -> list[MaskPlace]:
 
 
 def photographs_among(pictures: Sequence[str]) -> list[str]:
-    """Return those of `pictures` that are no masks of others."""
+    """Return those of `pictures` that are not masks of others."""
     masks = {name for place in mask_places(pictures) for name in place.files}
     return [name for name in pictures if name not in masks]
 
@@ -96,9 +96,9 @@ def names_of_mask(stem: str) -> Iterator[str]:
     """Yield what the photograph of a mask may be called, without its suffix; `stem` has none itself."""
     yield stem
     for form in (_AFTER, _BEFORE):
-        found = form.fullmatch(stem)
-        if found:
-            yield found[1]
+        match = form.fullmatch(stem)
+        if match:
+            yield match[1]
 
 
 def _mask_folder(name: str) -> str | None:
@@ -125,7 +125,7 @@ def _matched(folder: str, files: Sequence[str], photographs: Sequence[str]) -> M
 
 
 def _sidecars(pictures: Sequence[str]) -> MaskPlace:
-    """Return the masks that lie beside their photographs."""
+    """Return the masks next to their photographs."""
     by_name = {folded(_without_suffix(name)): name for name in reversed(pictures)}
     masks: dict[str, str] = {}
     for name in pictures:
@@ -160,7 +160,7 @@ def _bare(name: str) -> str:
     while path.suffix.lower() in PICTURE_SUFFIXES:
         path = path.with_suffix("")
     # 0001.jpg.mask.png: the mask's own name ends before the photograph's suffix.
-    found = _AFTER.fullmatch(path.name)
-    if found and PurePosixPath(found[1]).suffix.lower() in PICTURE_SUFFIXES:
-        return f"{PurePosixPath(found[1]).stem}.mask"
+    match = _AFTER.fullmatch(path.name)
+    if match and PurePosixPath(match[1]).suffix.lower() in PICTURE_SUFFIXES:
+        return f"{PurePosixPath(match[1]).stem}.mask"
     return path.name

@@ -23,7 +23,7 @@ def folded(name: str) -> str:
 def find_file(folder: Path, names: Iterable[PurePosixPath]) -> PurePosixPath | None:
     """Return the path below `folder` of the first of `names` that is a file there, or None.
 
-    Links that lead out of `folder` are no files. Exact spellings of all names are tried first. A spelling
+    Links that lead out of `folder` are not files. Exact spellings of all names are tried first. A spelling
     that fits two files is not used: which of the two is meant cannot be known.
     """
     tried = list(names)
@@ -58,23 +58,23 @@ def other_suffix(folder: Path, path: PurePosixPath) -> PurePosixPath | None:
     if parent is None:
         return None
     stems = {folded(path.name), folded(path.stem)}
-    found = sorted(
+    names_alike = sorted(
         name
         for names in _entries(folder / parent).values()
         for name in names
         if folded(PurePosixPath(name).stem) in stems and (folder / parent / name).is_file()
     )
-    return parent / found[0] if found else None
+    return parent / names_alike[0] if names_alike else None
 
 
 def _spelled_alike(folder: Path, path: PurePosixPath) -> PurePosixPath | None:
-    found = PurePosixPath()
+    spelled = PurePosixPath()
     for part in path.parts:
-        names = _entries(folder / found).get(folded(part), ())
+        names = _entries(folder / spelled).get(folded(part), ())
         if part not in names and len(names) != 1:
             return None
-        found /= part if part in names else names[0]
-    return found
+        spelled /= part if part in names else names[0]
+    return spelled
 
 
 def _entries(folder: Path) -> dict[str, tuple[str, ...]]:

@@ -50,7 +50,7 @@ def read_capture(folder: Path, problems: Problems, at: PurePosixPath = ROOT) -> 
         )
         return capture
     splits = [(train, scene_pb2.SPLIT_TRAIN)]
-    # Validation frames stand in where there is no test split; otherwise nothing uses them.
+    # Validation frames replace a test split that is missing; otherwise nothing uses them.
     others = [name for name in others if (folder / name).is_file()]
     splits += [(name, scene_pb2.SPLIT_TEST) for name in others[:1]]
     seen: set[str] = set()
@@ -69,8 +69,8 @@ def _pictures_named_in(folder: Path, name: str, at: PurePosixPath) -> set[str]:
     unheard = Problems()
     transforms = read_json_object(folder, name, unheard) or {}
     entries = frame_entries(name, transforms, unheard)
-    found = {find_picture(folder, entry["file_path"], subject, unheard, at) for subject, entry in entries}
-    return {path for path in found if path is not None}
+    pictures = {find_picture(folder, entry["file_path"], subject, unheard, at) for subject, entry in entries}
+    return {path for path in pictures if path is not None}
 
 
 def _read_split(

@@ -85,14 +85,14 @@ def _read_mask(
         if not isinstance(path, str):
             problems.error("scene.file_path_missing", f"{subject}: mask_path must name a picture", subject)
         return False
-    found = find_file(folder, [clean, *picture_names(clean)])
-    above = inside_folder(path, subject, Problems()) if found is None and at.parts else None
+    mask = find_file(folder, [clean, *picture_names(clean)])
+    above = inside_folder(path, subject, Problems()) if mask is None and at.parts else None
     if above is not None:
-        found = find_file(folder, [above, *picture_names(above)])
-    if found is None and link_out(folder, clean) is not None:
+        mask = find_file(folder, [above, *picture_names(above)])
+    if mask is None and link_out(folder, clean) is not None:
         problems.lost("scene.file_linked", f"{subject}: {clean} lies behind a link out", clean.as_posix())
         return False
-    if found is None:
+    if mask is None:
         problems.error(
             "scene.file_missing",
             f"{subject}: there is no mask {clean}; add it, or remove mask_path to take "
@@ -100,7 +100,7 @@ def _read_mask(
             clean.as_posix(),
         )
         return False
-    frame.mask = found.as_posix()
+    frame.mask = mask.as_posix()
     return True
 
 

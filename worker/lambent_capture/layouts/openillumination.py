@@ -127,9 +127,9 @@ def _entries(
 
 def _object_folders(folder: Path) -> list[Path]:
     for pattern in ("Lights", "*/Lights", "lighting_patterns/*/Lights"):
-        found = sorted(path.parent for path in folder.glob(pattern) if (path.parent / _TRAIN).is_file())
-        if found:
-            return found
+        folders = sorted(path.parent for path in folder.glob(pattern) if (path.parent / _TRAIN).is_file())
+        if folders:
+            return folders
     return []
 
 
@@ -158,19 +158,19 @@ def _read_frame(
             )
             continue
         try:
-            found = picture_size(folder / path)
+            own_size = picture_size(folder / path)
         except PictureError as error:
             problems.error(error.code, f"{subject}: {path} {error}", path)
             continue
-        if size is not None and found != size:
+        if size is not None and own_size != size:
             problems.error(
                 "scene.image_size",
-                f"{path} has {found[0]} x {found[1]} pixels, the camera's other photographs have {size[0]} x "
-                f"{size[1]}; use one size",
+                f"{path} has {own_size[0]} x {own_size[1]} pixels, the camera's other photographs have "
+                f"{size[0]} x {size[1]}; use one size",
                 path,
             )
             continue
-        size = found
+        size = own_size
         frame.images.append(scene_pb2.Image(light=light, path=path, encoding=encoding_of(path)))
     if "transform_matrix" not in settings:
         problems.error(

@@ -3,7 +3,7 @@
     <scene>/          pictures, at any depth; or
     <scene>/images/   pictures, and nothing else counts
 
-Masks may lie beside them, see `mask_search`.
+Masks may be next to them, see `mask_search`.
 
 Their cameras are found by the task `cameras` (`lambent_capture.poses`), which leaves a folder of its own:
 
@@ -93,11 +93,11 @@ def read_capture(folder: Path, problems: Problems, cameras: Path | None = None) 
     prefix = root.relative_to(folder)
     names = [(prefix / name).as_posix() for name in photographs_in(root, problems, within=folder)]
     if cameras is not None:
-        found = read_found_cameras(cameras)
+        known = read_found_cameras(cameras)
         capture = colmap.read_model(folder, cameras, problems, pictures=prefix.as_posix())
         used = {image.path for frame in capture.frames for image in frame.images}
         capture.other_files |= set(names) - used
-        capture.up = found.up
+        capture.up = known.up
         return capture
     capture = Capture(name=folder.resolve().name, lights=[LIGHT], up_is_z=False, has_cameras=False)
     called = frame_names(names)

@@ -33,7 +33,7 @@ _INSTRUCTIONS = """
 
 
 class PickleRefusedError(Exception):
-    """The file is no pickle of numbers, lists and texts; the text says what was found."""
+    """The file is not a pickle of numbers, lists and texts; the text says what was found."""
 
 
 def read_pickled_data(path: Path) -> Any:
@@ -136,7 +136,7 @@ class _Reader(_PYTHONS):  # type: ignore[misc]  # a base without types
         state = self.stack.pop()
         target = self.stack[-1]
         if not isinstance(target, _Array | _Kind) or not isinstance(state, tuple):
-            raise PickleRefusedError("sets the state of something that is no array")
+            raise PickleRefusedError("sets the state of something that is not an array")
         target.build(*state)
 
     def _bytes(self) -> None:
@@ -159,5 +159,5 @@ def _plain(value: Any, budget: Iterator[int], depth: int = 0) -> Any:
     if isinstance(value, list | tuple):
         return type(value)(_plain(item, budget, depth + 1) for item in value)
     if not isinstance(value, int | float | str | bytes | np.ndarray | None):
-        raise PickleRefusedError("holds something that is no data")
+        raise PickleRefusedError("holds something that is not data")
     return value

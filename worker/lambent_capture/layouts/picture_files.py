@@ -24,7 +24,7 @@ def photographs_in(folder: Path, problems: Problems, within: Path | None = None)
     """Return the paths of the photographs below `folder`, in order, with forward slashes.
 
     Left out are hidden files (`._IMG_1.jpg` of macOS among them) and folders, masks beside photographs, and
-    with a note in `problems`: links that lead out of the capture (`within`, or `folder`), names that are no
+    with a note in `problems`: links that lead out of the capture (`within`, or `folder`), names that are not
     text, formats that are not read, and all but one file of each photograph. What makes fewer than three
     photographs of a folder is an error.
     """

@@ -40,8 +40,8 @@ def is_layout(folder: Path) -> bool:
 def read_capture(folder: Path, problems: Problems, at: PurePosixPath = ROOT) -> Capture:
     """Return all usable frames of `folder`, whose key frames are below `at`; problems go to `problems`."""
     capture = Capture(name=folder.resolve().name, lights=[LIGHT], up_is_z=False, up=(0.0, 1.0, 0.0))
-    found = _cameras_and_pictures(folder / at)
-    if found is None:
+    places = _cameras_and_pictures(folder / at)
+    if places is None:
         problems.error(
             "scene.file_missing",
             "there are no JSON files in keyframes/corrected_cameras or keyframes/cameras beside a folder of "
@@ -49,7 +49,7 @@ def read_capture(folder: Path, problems: Problems, at: PurePosixPath = ROOT) -> 
             "keyframes/cameras",
         )
         return capture
-    cameras, pictures = (at / each for each in found)
+    cameras, pictures = (at / each for each in places)
     seen: set[str] = set()
     for name in _names(folder / cameras):
         path = (cameras / name).as_posix()
@@ -106,16 +106,16 @@ def _read_frame(
             path,
         )
         return None
-    found = find_picture(folder, picture, path, problems)
-    if found is None:
+    photograph = find_picture(folder, picture, path, problems)
+    if photograph is None:
         return None
     own = {key: values[name] for key, name in _LENS.items()}
     own["transform_matrix"] = [[values[name] for name in row] for row in _POSE]
-    camera = read_camera(folder, found, {}, own, path, problems)
+    camera = read_camera(folder, photograph, {}, own, path, problems)
     if camera is None:
         return None
     return scene_pb2.Frame(
         split=scene_pb2.SPLIT_TRAIN,
         camera=camera,
-        images=[scene_pb2.Image(light=LIGHT, path=found, encoding=encoding_of(found))],
+        images=[scene_pb2.Image(light=LIGHT, path=photograph, encoding=encoding_of(photograph))],
     )

@@ -19,7 +19,7 @@ class Reader(Protocol):
 
     @staticmethod
     def read_capture(folder: Path, problems: Problems, /, *cameras: Any) -> Capture:
-        """Return the capture in `folder` as far as it is readable; all problems are added to `problems`.
+        """Return all that is readable of the capture in `folder`; all problems are added to `problems`.
 
         `cameras`: for a nested layout the folder of its cameras, relative to `folder`; for photographs that
         of the cameras that were found, or None.

@@ -74,9 +74,9 @@ def _photograph(name: str) -> tuple[str, int]:
     path = PurePosixPath(name)
     stem = path.stem
     for form, called, rank in _FORMS:
-        found = form.fullmatch(stem)
-        if found:
-            return folded((path.parent / found.expand(called)).as_posix()), rank
+        match = form.fullmatch(stem)
+        if match:
+            return folded((path.parent / match.expand(called)).as_posix()), rank
     return folded(path.with_suffix("").as_posix()), 0
 
 

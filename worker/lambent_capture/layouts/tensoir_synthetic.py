@@ -219,14 +219,14 @@ def _frame_size(
 ) -> tuple[int, int] | None:
     """Return the size of the frame's pictures after checking that they all agree with the metadata."""
     stated = tuple(finite_number(metadata.get(key)) for key in ("imw", "imh"))
-    found: tuple[int, int] | None = None
+    common: tuple[int, int] | None = None
     for image in frame.images:
         try:
             size = picture_size(folder / image.path)
         except PictureError as error:
             problems.error(error.code, f"{image.path} {error}", image.path)
             continue
-        expected = found or (stated if None not in stated else size)
+        expected = common or (stated if None not in stated else size)
         if size != expected:
             problems.error(
                 "scene.image_size",
@@ -234,5 +234,5 @@ def _frame_size(
                 f"say {expected[0]:g} x {expected[1]:g}; use one size in each frame",
                 image.path,
             )
-        found = found or size
-    return found
+        common = common or size
+    return common

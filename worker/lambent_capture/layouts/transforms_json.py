@@ -28,16 +28,16 @@ def frame_entries(
     if not isinstance(entries, list):
         problems.error("scene.metadata_unreadable", f'{name} has no list called "frames"; add it', name)
         return []
-    found = []
+    named = []
     for index, entry in enumerate(entries):
         subject = f"{name} frame {index}"
         if isinstance(entry, dict) and isinstance(entry.get("file_path"), str):
-            found.append((f'{subject} ("{entry["file_path"][:100]}")', entry))
+            named.append((f'{subject} ("{entry["file_path"][:100]}")', entry))
             continue
         problems.error(
             "scene.file_path_missing", f'{subject} has no "file_path"; name the picture it is about', subject
         )
-    return found
+    return named
 
 
 def posed_entries(
@@ -79,12 +79,12 @@ def find_picture(
     clean = inside_folder(file_path, subject, problems, at)
     if clean is None:
         return None
-    found = find_picture_file(folder, clean)
-    if found is None and at.parts:
+    file = find_picture_file(folder, clean)
+    if file is None and at.parts:
         above = inside_folder(file_path, subject, Problems())
-        found = None if above is None else find_picture_file(folder, above)
-    if found is not None:
-        return found.as_posix()
+        file = None if above is None else find_picture_file(folder, above)
+    if file is not None:
+        return file.as_posix()
     astray = next((each for each in picture_names(clean) if link_out(folder, each) is not None), None)
     if astray is not None:
         problems.lost("scene.file_linked", f"{subject}: {astray} lies behind a link out", astray.as_posix())

@@ -230,7 +230,8 @@ def _distortion(
         bad = next(key for key, value in zip(_DISTORTION, values, strict=True) if value is None)
         problems.error(
             "scene.lens_invalid",
-            f"{subject}: the distortion coefficient {bad} is no finite number; write 0 where there is none",
+            f"{subject}: the distortion coefficient {bad} is not a finite number; write 0 where there is "
+            "none",
             subject,
         )
         return None

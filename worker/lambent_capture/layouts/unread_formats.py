@@ -48,7 +48,7 @@ def counted(names: Sequence[str]) -> str:
 
 
 def _remedy(suffixes: Iterable[str]) -> str:
-    found = set(suffixes)
-    if found <= _JPEG:
+    kinds = set(suffixes)
+    if kinds <= _JPEG:
         return "these are JPEG under another name, so rename them to .jpg"
     return "export what are photographs among them as JPEG or PNG"

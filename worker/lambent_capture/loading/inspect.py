@@ -50,19 +50,6 @@ class Inspection:
     """Pictures that cannot be decoded, whose frames are not in `manifest`."""
 
 
-def inspect_capture(
-    folder: Path,
-    layout: str | None = None,
-    skip: Mapping[str, str] = NOTHING_SKIPPED,
-    announce: Callable[[str], None] = lambda path: None,
-    masks: Path | None = None,
-    cameras: Path | None = None,
-) -> tuple[scene_pb2.SceneReport, scene_pb2.SceneManifest | None]:
-    """Return report and manifest of `inspect_files`."""
-    inspection = inspect_files(folder, layout, skip, announce, masks, cameras)
-    return inspection.report, inspection.manifest
-
-
 def inspect_files(
     folder: Path,
     layout: str | None = None,

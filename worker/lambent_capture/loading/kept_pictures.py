@@ -39,7 +39,7 @@ def kept(
     settings: Mapping[str, object],
     make: Callable[[], Pictures],
 ) -> Pictures:
-    """Return what `make` returns for a frame of the capture in `folder`, from `store` where it is there.
+    """Return what `make` returns for a frame of the capture in `folder`, from `store` where that has it.
 
     `settings` is everything else that the result depends on. A damaged file of the store is made anew.
     """
@@ -47,14 +47,14 @@ def kept(
         path = store / f"{_key(folder, frame, settings)}.npz"
     except OSError:  # a file is missing or cannot be read: loading it says which, and what to do
         return make()
-    found = _read(path)
-    if found is None:
-        found = make()
-        sizes = [image.shape[0] * image.shape[1] for image in found.images.values()]
+    pictures = _read(path)
+    if pictures is None:
+        pictures = make()
+        sizes = [image.shape[0] * image.shape[1] for image in pictures.images.values()]
         frame_pixels = frame.camera.width * frame.camera.height
         if max(sizes, default=0) <= min(MOST_PIXELS, frame_pixels // LEAST_REDUCTION):
-            _write(path, found)
-    return found
+            _write(path, pictures)
+    return pictures
 
 
 def _key(folder: Path, frame: scene_pb2.Frame, settings: Mapping[str, object]) -> str:
@@ -70,12 +70,12 @@ def _read(path: Path) -> Pictures | None:
         return None
     try:
         with np.load(path, allow_pickle=False) as arrays:
-            found = {name: arrays[name] for name in arrays.files}
-        left, top, right, bottom = (int(value) for value in found.pop("box"))
+            stored = {name: arrays[name] for name in arrays.files}
+        left, top, right, bottom = (int(value) for value in stored.pop("box"))
     except (BadZipFile, EOFError, KeyError, OSError, ValueError):
         return None
     parts: dict[str, dict[str, ndarray]] = {"images": {}, "clipped": {}}
-    for name, values in found.items():
+    for name, values in stored.items():
         kind, _, light = name.partition("/")
         parts[kind][light] = values
     return Pictures((left, top, right, bottom), parts["images"], parts["clipped"])

@@ -1,4 +1,4 @@
-"""What the light of a capture stands still with, and how it turns from photograph to photograph.
+"""The part of a scene that its light stands still with, and how it turns from photograph to photograph.
 
 A turn is a rotation from world directions at one photograph to the frame of the light, which has the world's
 axes at the reference photograph: there it is the identity, and a map of the light is upright.

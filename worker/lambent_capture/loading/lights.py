@@ -24,7 +24,7 @@ def select_lights(
     chosen.CopyFrom(manifest)
     del chosen.lights[:]
     chosen.lights.extend(names)
-    # A layout may offer every light for both; one that is trained on is no test of relighting.
+    # A layout may offer every light for both; one that is trained on is not a test of relighting.
     relight = [name for name in manifest.relight_lights if name not in names]
     chosen.relight_lights[:] = relight
     for frame in chosen.frames:

@@ -160,16 +160,16 @@ def _load_view(
         return _pictures(folder, frame, max_side, cut_out=cut_out)
 
     settings = {"max_side": max_side, "cut_out": cut_out}
-    found = make() if store is None else kept(store, folder, frame, settings, make)
-    part = cropped(frame.camera, found.box)
+    pictures = make() if store is None else kept(store, folder, frame, settings, make)
+    part = cropped(frame.camera, pictures.box)
     size = reduced_size(part.camera.width, part.camera.height, max_side)
     view = View(
         name=frame.name,
         camera=_camera(part.camera).resized(*size),
-        images=found.images,
-        clipped=found.clipped,
+        images=pictures.images,
+        clipped=pictures.clipped,
         truth=_load_truth(folder, frame, size, world) if frame.split == scene_pb2.SPLIT_TEST else {},
-        margins=_margins(frame.camera, found.box, size),
+        margins=_margins(frame.camera, pictures.box, size),
         light_turn=turn,
     )
     return turned(view, upright_turns(view.camera.camera_to_world)) if upright else view

@@ -27,7 +27,7 @@ odds for each view of the capture."""
 _BORDER = 2
 """Pixels along the border that are background by definition."""
 _LEAST_CELLS = 50
-"""Fewer solid cells than this are no object."""
+"""Fewer solid cells than this are not an object."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -172,8 +172,8 @@ def agree(
         if number - 1 in settings.refit_after:
             # The same number of cells in a smaller box: finer cells.
             grid = _closed_in(grid, kept, views, given, settings)
-        # Each view by itself. Colours of object and background are learnt from what is believed so far, so
-        # that they become purer from round to round.
+        # Each view by itself. Colours of object and background are learnt from the beliefs so far, so that
+        # they become purer from round to round.
         odds = _odds(seen, beliefs, leaning, given)
         # A view votes on each cell by the pixel that shows it. A mark "background" is a veto: no cell that
         # is seen through this pixel is solid.
@@ -186,7 +186,7 @@ def agree(
         # cells that makes solid follows from all votes together, so it changes the sum and no single vote.
         total = _with_what_stands_below(_with_marked(np.sum(votes, axis=0), marks, grid), grid, settings)
         if given.focus is not None:
-            # What stands beside the object has as many votes as the object; only its place tells it apart.
+            # Clutter next to the object has as many votes as the object; only its place tells it apart.
             solid = main_parts(total > 0.0, grid.lattice, given.focus, distance)
             total = np.where(solid, total, np.minimum(total, 0.0))
         if (total > 0.0).sum() < _LEAST_CELLS:

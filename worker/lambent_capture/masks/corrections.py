@@ -1,4 +1,4 @@
-"""What a person says about masks: boxes and strokes on a few photographs, as an ordered list.
+"""A person's corrections of masks: boxes and strokes on a few photographs, as an ordered list.
 
 The list is the whole state: undoing the last correction is leaving it out. As JSON:
 
@@ -92,7 +92,7 @@ def parse_corrections(text: str, source: str) -> list[Correction]:
     try:
         record = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise _invalid(f"{source} is no JSON document") from error
+        raise _invalid(f"{source} is not a JSON document") from error
     return corrections_from(record)
 
 

@@ -8,7 +8,7 @@ from numpy import ndarray
 _RADIUS = 3
 """Half the side of the window in which coverage is linear in colour, pixels of the cut."""
 _EPSILON = 6.0e-4
-"""Variance of colours (0..1 squared) below which an edge is no edge."""
+"""Variance of colours (0..1 squared) below which an edge does not count."""
 
 
 def soft_coverage(

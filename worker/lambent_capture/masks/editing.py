@@ -81,8 +81,8 @@ class Editing:
         work = self.work
         views = [work.view(number) for number in range(len(work.names))]
         coverages = [mask.astype(np.float64) for mask in masks]
-        found = consistency_of(coverages, views, work.centre, work.distance, EstimateSettings())
-        overlap = found.overlap
+        consistency = consistency_of(coverages, views, work.centre, work.distance, EstimateSettings())
+        overlap = consistency.overlap
         changed = [
             name
             for name, before, after in zip(work.names, self._masks, masks, strict=True)

@@ -88,13 +88,13 @@ def estimate_masks(views: Sequence[MaskView], settings: EstimateSettings) -> Est
     """
     if len(views) < settings.min_views:
         raise not_credible(too_few(len(views)))
-    found = agreed_masks(views, settings)
-    if isinstance(found, str):
-        raise not_credible(found)
-    reason = why_not_credible(found, settings)
+    estimate = agreed_masks(views, settings)
+    if isinstance(estimate, str):
+        raise not_credible(estimate)
+    reason = why_not_credible(estimate, settings)
     if reason:
         raise not_credible(reason)
-    return found
+    return estimate
 
 
 def too_few(number: int) -> str:
@@ -125,7 +125,7 @@ def _most_consistent(
     views: Sequence[MaskView], centre: Float[ndarray, "3"], distance: float, settings: EstimateSettings
 ) -> list[Float[ndarray, "height width"]] | None:
     """Return the beliefs of all leanings, mixed by how consistent each makes the views."""
-    found, scores = [], []
+    candidates, scores = [], []
     for leaning in LEANINGS:
         agreement = agree(views, centre, distance, leaning, ConsensusSettings())
         if agreement is None:
@@ -135,14 +135,14 @@ def _most_consistent(
             refine_outline(lab_of(view.image_srgb), belief, settings.band)
             for view, belief in zip(views, beliefs, strict=True)
         ]
-        found.append(beliefs)
+        candidates.append(beliefs)
         scores.append(float(np.median(consistency_of(refined, views, centre, distance, settings).overlap)))
-    if not found:
+    if not candidates:
         return None
     weights = np.exp((np.array(scores) - max(scores)) / settings.temperature)
     weights /= weights.sum()
     return [
-        np.sum([weight * beliefs[view] for weight, beliefs in zip(weights, found, strict=True)], axis=0)
+        np.sum([weight * beliefs[view] for weight, beliefs in zip(weights, candidates, strict=True)], axis=0)
         for view in range(len(views))
     ]
 
@@ -189,20 +189,19 @@ def separation_of(
     return separation([lab_of(view.image_srgb) for view in small], reduced)
 
 
-def why_not_credible(found: Estimate, settings: EstimateSettings) -> str:
-    """Return why the masks are not to be believed; empty where they are."""
-    share = float(np.median([(coverage >= 0.5).mean() for coverage in found.coverages]))
-    overlap = float(np.median(found.consistency.overlap))
+def why_not_credible(estimate: Estimate, settings: EstimateSettings) -> str:
+    """Return why the masks are not credible; empty where they are."""
+    share = float(np.median([(coverage >= 0.5).mean() for coverage in estimate.coverages]))
+    overlap = float(np.median(estimate.consistency.overlap))
     if not settings.smallest_share <= share <= settings.largest_share:
         return f"what was found covers {significant(100.0 * share, 2)} % of the pictures"
-    explained = float(np.median(found.consistency.explained))
+    explained = float(np.median(estimate.consistency.explained))
     if overlap < settings.min_consistency or explained < settings.min_explained:
         return (
-            f"what was found overlaps by {measured(100.0 * overlap)} % with what the other views make of "
-            "it, at "
-            f"least {measured(100.0 * settings.min_consistency)} % are needed"
+            f"what was found overlaps by {measured(100.0 * overlap)} % with what the other views make of it, "
+            f"at least {measured(100.0 * settings.min_consistency)} % are needed"
         )
-    if np.median(found.separation) < settings.min_separation:
+    if np.median(estimate.separation) < settings.min_separation:
         return "what was found has no colours of its own; it looks like its background"
     return ""
 

@@ -125,7 +125,7 @@ def colour_odds(
 ) -> list[Float[ndarray, "height width"]]:
     """Return the log odds of object against background that the colours of each view give.
 
-    `foreground` is what is believed so far. All views share the colours of the object; each has a background
+    `foreground` is the belief so far. All views share the colours of the object; each has a background
     of its own, with a little of everybody's. Nothing says more than `MAX_COLOUR`.
     """
     model = learn_colours(cells, foreground, known)

@@ -189,12 +189,12 @@ def _by_agreement(
     distance: float,
     settings: FindSettings,
 ) -> Workspace:
-    found = agreed_masks(views, settings.plain)
+    estimate = agreed_masks(views, settings.plain)
     half = np.full(3, settings.support.reach * distance)
-    if isinstance(found, str):
+    if isinstance(estimate, str):
         beliefs = tuple(np.zeros((view.camera.height, view.camera.width), np.float32) for view in views)
     else:
-        beliefs = tuple(each.astype(np.float32) for each in found.coverages)
+        beliefs = tuple(each.astype(np.float32) for each in estimate.coverages)
     return Workspace(
         names=tuple(view.name for view in views),
         cameras=tuple(photograph.camera for photograph in photographs),
@@ -213,7 +213,7 @@ def _by_agreement(
         distance=distance,
         has_support=False,
         rounds=ConsensusSettings(),
-        reason=found if isinstance(found, str) else "",
+        reason=estimate if isinstance(estimate, str) else "",
     )
 
 
@@ -223,10 +223,10 @@ def _moved(views: Sequence[MaskView]) -> list[Bool[ndarray, "height width"]] | N
     That is the convex hull of all that ever changed: a part that has the same colour from all sides changes
     nothing where it always is.
     """
-    found = find_motion([view.averaged(MOTION_SIDE).image_srgb for view in views])
-    if found is None:
+    motion = find_motion([view.averaged(MOTION_SIDE).image_srgb for view in views])
+    if motion is None:
         return None
-    changed = np.any(found.masks, axis=0)
+    changed = np.any(motion.masks, axis=0)
     hull = cv2.convexHull(np.argwhere(changed)[:, ::-1].astype(np.int32))
     swept = cv2.fillConvexPoly(changed.astype(np.uint8), hull, 1)
     sizes = [(view.camera.width, view.camera.height) for view in views]

@@ -63,12 +63,12 @@ class WrittenMasks:
     doubtful: tuple[str, ...]
     """Frames on which the views do not agree, the worst first."""
     reason: str = ""
-    """Why the masks are not to be believed; empty where they are."""
+    """Why the masks are not credible; empty where they are."""
     markable: bool = False
     """Whether a person's marks may show where the object is."""
 
     def require_credible(self) -> None:
-        """Raise `SceneRefusedError` with `scene.mask_missing` where the masks are not to be believed."""
+        """Raise `SceneRefusedError` with `scene.mask_missing` where the masks are not credible."""
         if self.reason:
             raise not_credible(
                 f"{self.reason} (what was found is in {self.sheet} and {self.folder})", markable=self.markable
@@ -88,7 +88,7 @@ def write_masks(
 
     By the built-in estimate, or by `segmenter`. `points` are sparse points in the coordinates of `manifest`,
     by which the support is found and taken away; without them they are triangulated. Masks and
-    thumbnails are written in any case; `WrittenMasks.reason` says why they are not to be believed, and
+    thumbnails are written in any case; `WrittenMasks.reason` says why they are not credible, and
     `require_credible` refuses them. `progress` is called with the phase and how much of how much of it is
     done; what it raises stops the work.
     """
@@ -219,7 +219,7 @@ def contact_sheet(
 ) -> Image.Image:
     """Return all pictures, small and upright, with the background dimmed, outlines and the frames' names.
 
-    `reason` says at the top why the masks are not to be believed.
+    `reason` says at the top why the masks are not credible.
     """
     thumbnails = []
     for view, coverage in zip(views, coverages, strict=True):

@@ -91,14 +91,14 @@ def main_parts(
     """Return the connected parts of `solid` that are large and near `focus` (in the lattice's frame).
 
     A cell counts e times less at a fifth of the cameras' `distance`, horizontally. Parts that count less than
-    a seventh of the most important one are left out: they stand beside the object.
+    a seventh of the most important one are left out: they are clutter next to the object.
     """
     labels, number = ndimage.label(solid.reshape(lattice.shape))
     if number <= 1:
         return solid
     away = lattice.local(solid)[:, :2] - focus[:2]
     weight = np.exp(-(away**2).sum(axis=1) / (0.2 * distance) ** 2)
-    found = labels.ravel()
-    scores = np.bincount(found[solid], weight, minlength=number + 1)
+    part = labels.ravel()
+    scores = np.bincount(part[solid], weight, minlength=number + 1)
     scores[0] = 0.0
-    return np.asarray((scores >= scores.max() / 7.0)[found] & solid)
+    return np.asarray((scores >= scores.max() / 7.0)[part] & solid)

@@ -89,13 +89,13 @@ def find_motion(pictures: Sequence[UInt8[ndarray, "height width 3"]]) -> Motion 
     always = (support < SUPPORT) & (differs.mean(axis=0) > 0.5)
     masks = _cleaned(differs | always)
     standing = (support >= STANDING) & ~(np.mean(masks, axis=0) > 0.5)
-    found = Motion(
+    motion = Motion(
         background=_encoded(background),
         masks=tuple(masks),
         standing_share=float(standing.mean()),
         edge_share=float((standing & _edges(background)).mean()),
     )
-    return found if found.stands else None
+    return motion if motion.stands else None
 
 
 def write_motion_masks(
@@ -114,13 +114,13 @@ def write_motion_masks(
         progress("looking for what moves", number, len(paths))
         pictures.append(read_picture(path, side=SIDE).srgb())
         sizes.append(picture_size(path))
-    found = find_motion(pictures)
-    if found is None:
+    motion = find_motion(pictures)
+    if motion is None:
         return None
-    for name, mask, size in zip(names, found.masks, sizes, strict=True):
+    for name, mask, size in zip(names, motion.masks, sizes, strict=True):
         full = cv2.resize(255 * mask.astype(np.uint8), size, interpolation=cv2.INTER_LINEAR)
         write_mask(out / f"{name}.png", np.where(full > 127, 255, 0).astype(np.uint8), compress_level=3)
-    return found
+    return motion
 
 
 def _even(logs: Float32[ndarray, "n height width 3"]) -> Float32[ndarray, "n height width 3"]:
@@ -194,10 +194,10 @@ def _filled(mask: UInt8[ndarray, "height width"]) -> UInt8[ndarray, "height widt
 
 def _edges(logs: Float32[ndarray, "height width 3"]) -> Bool[ndarray, "height width"]:
     across, down = np.abs(np.diff(logs, axis=1)).max(axis=-1), np.abs(np.diff(logs, axis=0)).max(axis=-1)
-    found = np.zeros(logs.shape[:2], bool)
-    found[:, :-1] |= across > EDGE
-    found[:-1] |= down > EDGE
-    return found
+    edges = np.zeros(logs.shape[:2], bool)
+    edges[:, :-1] |= across > EDGE
+    edges[:-1] |= down > EDGE
+    return edges
 
 
 def _disc(radius: int) -> UInt8[ndarray, "side side"]:

@@ -104,7 +104,7 @@ def find_on_support(
     """Return the object that stands on the support, or None where the views agree on none.
 
     `small` are the views of `support` at the size at which they are compared. `footprint` is where the object
-    is thought to stand at first, 0..1 for each texel. `moved` says which pixels of the views may show the
+    probably stands, 0..1 for each texel. `moved` says which pixels of the views may show the
     object at all.
     """
     seen = prepare(small, edges=False)

@@ -1,10 +1,10 @@
 """Photographs that are decoded when they are needed, at the size that is needed, and forgotten again."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
+import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 from lambent_core.errors import WorkerError
@@ -38,7 +38,7 @@ class Photograph:
         size = reduced_size(self.camera.width, self.camera.height, side)
         pixels = self.read(side)
         if (pixels.shape[1], pixels.shape[0]) != size:
-            pixels = _resized(pixels, size)
+            pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
         return MaskView(self.name, pixels, self.camera.resized(*size))
 
 
@@ -61,11 +61,6 @@ def photographs_of(folder: Path, manifest: scene_pb2.SceneManifest) -> list[Phot
     ]
 
 
-def of_pictures(views: Sequence[MaskView]) -> list[Photograph]:
-    """Return pictures that are decoded already as photographs."""
-    return [Photograph(view.name, view.camera, partial(_limited, view.image_srgb)) for view in views]
-
-
 def _file_reader(folder: Path, frame: scene_pb2.Frame, manifest: scene_pb2.SceneManifest) -> Read:
     path = min(frame.images, key=lambda image: image.light not in manifest.lights).path
 
@@ -76,16 +71,3 @@ def _file_reader(folder: Path, frame: scene_pb2.Frame, manifest: scene_pb2.Scene
             raise WorkerError(error.code, f"{path} {error}") from error
 
     return read
-
-
-def _limited(pixels: UInt8[ndarray, "height width 3"], side: int) -> UInt8[ndarray, "rows columns 3"]:
-    size = reduced_size(pixels.shape[1], pixels.shape[0], side)
-    return pixels if size == (pixels.shape[1], pixels.shape[0]) else _resized(pixels, size)
-
-
-def _resized(
-    pixels: UInt8[ndarray, "height width 3"], size: tuple[int, int]
-) -> UInt8[ndarray, "rows columns 3"]:
-    import cv2
-
-    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))

@@ -1,4 +1,4 @@
-"""Where pictures see the support, and where the support is in pictures; lens distortion included."""
+"""Maps between pictures and the support, both ways; lens distortion included."""
 
 from dataclasses import dataclass
 

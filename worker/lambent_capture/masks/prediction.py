@@ -30,7 +30,7 @@ class PredictionSettings:
     surprise: float = 0.01
     """Chance that a pixel of the support has any colour at all."""
     learnt: float = 0.5
-    """How far the colours that were learnt of the object are believed."""
+    """Weight of the colours that were learnt of the object."""
     least_odds: float = -4.0
     """Least log odds of a pixel: how sure what looks like the support is the support."""
     limit: float = 4.0

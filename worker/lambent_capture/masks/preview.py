@@ -9,7 +9,7 @@
 
 Pictures and masks are turned upright. Sizes in frames.json are those of the upright photographs, in which
 corrections are given. `overlap` is how well a mask agrees with what the others make of it, 0..1, of the
-capture the median; `reason` says why masks are not to be believed. Masks that the capture brings cannot be
+capture the median; `reason` says why masks are not credible. Masks that the capture brings cannot be
 corrected (`editable` is false, nothing is compared).
 """
 

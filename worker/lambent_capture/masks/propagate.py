@@ -79,7 +79,7 @@ def require_frames(work: Workspace, corrections: Sequence[Correction]) -> None:
     if unknown:
         raise UsageError(
             "config.corrections_invalid",
-            f'the corrections name "{unknown[0]}", which is no frame of the capture; leave them out',
+            f'the corrections name "{unknown[0]}", which is not a frame of the capture; leave them out',
         )
 
 
@@ -98,11 +98,11 @@ def _updated(
         beliefs = tuple(each.astype(np.float32) for each in agreement.beliefs)
         priors = tuple(
             _decided(
-                _resized(found, (each.shape[1], each.shape[0])),
+                _resized(before, (each.shape[1], each.shape[0])),
                 unmarked.astype(np.float32),
                 each.astype(np.float32),
             )
-            for found, unmarked, each in zip(work.priors, agreement.unmarked, agreement.priors, strict=True)
+            for before, unmarked, each in zip(work.priors, agreement.unmarked, agreement.priors, strict=True)
         )
     return replace(
         work,
@@ -115,7 +115,7 @@ def _updated(
 
 
 def _decided(
-    found: Float32[ndarray, "rows columns"],
+    before: Float32[ndarray, "rows columns"],
     unmarked: Float32[ndarray, "rows columns"],
     after: Float32[ndarray, "rows columns"],
 ) -> Float32[ndarray, "rows columns"]:
@@ -126,8 +126,8 @@ def _decided(
     table and looks like the object.
     """
     against, towards = after < -_TURNED, after > _TURNED
-    gone = against & ((found > _TURNED) | (unmarked - after > _MOVED))
-    came = towards & ((found < -_TURNED) | (after - unmarked > _MOVED))
+    gone = against & ((before > _TURNED) | (unmarked - after > _MOVED))
+    came = towards & ((before < -_TURNED) | (after - unmarked > _MOVED))
     return np.where(gone, np.float32(-LIMIT), np.where(came, np.float32(LIMIT), after))
 
 

@@ -43,7 +43,7 @@ class RembgSegmenter:
     """A segmenter that runs one of rembg's networks on each picture, without looking at the other views."""
 
     option: str = ""
-    """Name of a model, path of an .onnx file, or "" for the best model that is there."""
+    """Name of a model, path of an .onnx file, or "" for the best of the models on this machine."""
 
     def configured(self, option: str) -> "RembgSegmenter":
         """Return the segmenter for `--segmenter rembg=OPTION`."""
@@ -91,10 +91,8 @@ def find_model(option: str) -> tuple[str, Path]:
     raise UsageError(
         "config.segmenter_model",
         f"rembg has no model {' or '.join(wanted) if option else 'yet'}, and none is fetched here; fetch "
-        f"{name}.onnx "
-        f"yourself from the releases of github.com/danielgatis/rembg (mind the licence of its weights) and "
-        "put it at "
-        f'{_places(name)[0]}, or give the file: --segmenter "rembg=PATH/{name}.onnx"',
+        f"{name}.onnx yourself from the releases of github.com/danielgatis/rembg (mind the licence of its "
+        f'weights) and put it at {_places(name)[0]}, or give the file: --segmenter "rembg=PATH/{name}.onnx"',
     )
 
 
@@ -134,7 +132,8 @@ def _session(name: str, model: Path) -> Any:
     except Exception as error:  # onnxruntime raises many kinds
         reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
         raise UsageError(
-            "config.segmenter_model", f'"{model}" is no network that rembg can run ({reason}); fetch it again'
+            "config.segmenter_model",
+            f'"{model}" is not a network that rembg can run ({reason}); fetch it again',
         ) from error
 
 

@@ -39,15 +39,15 @@ def find_segmenter(name: str) -> Segmenter:
     module, colon, attribute = name.partition(":")
     if colon and not equals:
         return _imported(name, module, attribute)
-    found = entry_points(group=ENTRY_POINTS)
-    if offered_name not in found.names:
-        offered = ", ".join(sorted(found.names)) or "none"
+    registered = entry_points(group=ENTRY_POINTS)
+    if offered_name not in registered.names:
+        offered = ", ".join(sorted(registered.names)) or "none"
         raise UsageError(
             "config.segmenter_unknown",
             f'--segmenter "{name}" is offered by no installed package (there are: {offered}); install the '
             "package, give module:callable, or leave the option out for the built-in estimate",
         )
-    segmenter: Segmenter = found[offered_name].load()
+    segmenter: Segmenter = registered[offered_name].load()
     if not equals:
         return segmenter
     configured = getattr(segmenter, "configured", None)
@@ -62,16 +62,17 @@ def find_segmenter(name: str) -> Segmenter:
 
 def _imported(name: str, module: str, attribute: str) -> Segmenter:
     try:
-        found = getattr(import_module(module), attribute)
+        segment = getattr(import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
         raise UsageError(
             "config.segmenter_unknown",
             f'--segmenter "{name}" cannot be imported ({error}); give module:callable, with the module on '
             "PYTHONPATH",
         ) from error
-    if not callable(found):
+    if not callable(segment):
         raise UsageError(
-            "config.segmenter_unknown", f'--segmenter "{name}" is no function; give one that takes the views'
+            "config.segmenter_unknown",
+            f'--segmenter "{name}" is not a function; give one that takes the views',
         )
-    segmenter: Segmenter = found
+    segmenter: Segmenter = segment
     return segmenter

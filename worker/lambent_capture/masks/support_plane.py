@@ -86,10 +86,10 @@ def find_support(
     if len(near) < settings.min_points:
         return None
     thickness = settings.thickness * distance
-    found = _best_trial(near, positions, centre, thickness, settings)
-    if found is None:
+    trial = _best_trial(near, positions, centre, thickness, settings)
+    if trial is None:
         return None
-    normal, height = found
+    normal, height = trial
     for _ in range(4):
         on = near[np.abs(near @ normal - height) < thickness]
         middle = on.mean(axis=0)
@@ -164,7 +164,7 @@ def _reaches_beyond(
     distance: float,
     settings: PlaneSettings,
 ) -> bool:
-    """Return whether the plane goes on around what stands on it, which a facet of the object does not."""
+    """Return whether the plane continues around what stands on it, which a facet of the object does not."""
     radius = np.hypot(local[:, 0], local[:, 1])
     above = local[
         (local[:, 2] > 3.0 * settings.thickness * distance) & (radius < settings.near * distance), :2

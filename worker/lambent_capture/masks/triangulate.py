@@ -58,15 +58,15 @@ def triangulate(
     There may be none where photographs show nothing that can be recognised.
     """
     settings = settings or TriangulateSettings()
-    found = []
+    features = []
     for number, photograph in enumerate(photographs):
-        found.append(_features(photograph, settings))
+        features.append(_features(photograph, settings))
         progress("looking for points", number + 1, len(photographs))
     positions = np.array([photograph.camera.position for photograph in photographs])
     pairs = neighbours(positions - centre, settings)
     points, seen = [np.zeros((0, 3))], []
     for number, (first, second) in enumerate(pairs):
-        new = _shared_points(found[first], found[second], settings)
+        new = _shared_points(features[first], features[second], settings)
         points.append(new)
         seen.extend([(first, second)] * len(new))
         progress("placing points", number + 1, len(pairs))

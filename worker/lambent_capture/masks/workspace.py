@@ -1,4 +1,4 @@
-"""What an estimate works with: kept in a folder, so that a person's corrections need not start again."""
+"""The intermediate results of an estimate, kept so that a person's corrections need not start again."""
 
 import json
 from dataclasses import asdict, dataclass, field

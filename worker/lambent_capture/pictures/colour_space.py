@@ -76,7 +76,7 @@ def of_profile(profile: bytes, channels: int) -> tuple[ColourSpace, str]:
     """Return the space that an ICC profile describes and "", or sRGB and why, as the end of a sentence.
 
     A profile of colours also fits a grey picture: its channels are equal then. Raises `PictureError` for the
-    profiles of PQ and HLG, whose levels are no shares of one white.
+    profiles of PQ and HLG, whose levels are not shares of one white.
     """
     for code, name in _TRANSFERS_REFUSED.items():
         if _cicp_of_profile(profile)[1:2] == bytes([code]):
@@ -188,7 +188,7 @@ def _known_profile(profile: bytes) -> tuple[ColourSpace, str]:
         probe = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(9, -1, 3)
         probe = probe if given == "RGB" else np.ascontiguousarray(levels[None, :, None])
         changed = space.srgb(probe).astype(np.int16) - probe
-    except Exception as error:  # Little CMS has errors of two libraries, and the profile is anybody's
+    except Exception as error:  # Little CMS has errors of two libraries, and the profile may hold anything
         return SRGB, reason_of(error)
     return (SRGB if np.abs(changed).max() <= SAME_LEVELS else space), ""
 
@@ -251,7 +251,7 @@ def _srgb_curve(encoded: Float64[ndarray, "*shape"]) -> Float64[ndarray, "*shape
 def _refused_transfer(name: str) -> PictureError:
     return PictureError(
         "scene.colour_space",
-        f"is a high dynamic range picture in {name}, from which light in linear units cannot be told; "
+        f"is a high dynamic range picture in {name}, which does not say how much light it shows; "
         "export it as sRGB or Display P3, or as EXR",
     )
 

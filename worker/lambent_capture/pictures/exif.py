@@ -28,7 +28,10 @@ FOCAL, COMMENT, ACROSS, DOWN = 0x920A, 0x9286, 0xA002, 0xA003
 WHITE_BALANCE, ZOOM, FOCAL_35MM, LENS = 0xA403, 0xA404, 0xA405, 0xA434
 _UNMIRRORED = {2: 1, 4: 3, 5: 8, 7: 6}
 """What is left of an orientation once left and right are exchanged."""
-_DIAGONAL_35MM = math.hypot(36.0, 24.0)
+PLANE_X, PLANE_UNIT = 0xA20E, 0xA210
+_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}
+_DIAGONAL_35MM = 43.267
+"""Of 36 x 24 mm, which the equivalent focal length in EXIF refers to (CIPA DCG-001)."""
 _TIFF_STARTS = (b"II*\0", b"MM\0*")
 _TIFF_LIKE_STARTS = (b"IIRO", b"IIRS", b"IIU\0")
 """ORF and RW2: TIFF but for their first four bytes."""
@@ -62,6 +65,8 @@ class ExifFacts:
     """Date and local time, ISO 8601."""
     stated_size: tuple[int, int] = (0, 0)
     """Width and height in pixels that the camera wrote."""
+    plane_per_mm: float = 0.0
+    """Pixels of the photograph as taken for each millimetre of the sensor."""
     comment: str = ""
 
     @property
@@ -80,13 +85,18 @@ class ExifFacts:
     def focal_pixels(self, width: int, height: int) -> float:
         """Return the focal length in pixels of a picture of that size, or 0 where only a guess would do.
 
-        From the focal length in 35 mm terms, which CIPA defines by the diagonal; wrong for cropped pictures.
+        From the focal length in 35 mm terms, which compares diagonals, or from the sensor's pixels; wrong for
+        cropped pictures. Source: EXIF 2.32, FocalLengthIn35mmFilm, FocalPlaneXResolution.
         """
-        return self.focal_35mm / _DIAGONAL_35MM * math.hypot(width, height)
+        if self.focal_35mm:
+            return self.focal_35mm / _DIAGONAL_35MM * math.hypot(width, height)
+        # The resolution counts pixels of the photograph as taken; it may have been reduced since.
+        scale = max(width, height) / max(self.stated_size) if any(self.stated_size) else 1.0
+        return self.focal_mm * self.plane_per_mm * scale
 
 
 def exif_facts(path: Path) -> ExifFacts:
-    """Return what a picture's EXIF says; reads the header only, or all of a raw file that is no TIFF.
+    """Return what a picture's EXIF says; reads the header only, or all of a raw file that is not a TIFF.
 
     Of HEIC the orientation is 1: libheif has applied it. Damaged EXIF says nothing. Raises `PictureError` for
     a file that cannot be opened.
@@ -177,6 +187,7 @@ def _facts(exif: dict[int, Any], tags: dict[int, Any]) -> ExifFacts:
         white_balance={0: "auto", 1: "manual"}.get(tags.get(WHITE_BALANCE, -1), ""),
         taken=_date(tags.get(TAKEN) or exif.get(DATE)),
         stated_size=(int(_positive(tags.get(ACROSS))), int(_positive(tags.get(DOWN)))),
+        plane_per_mm=_positive(tags.get(PLANE_X)) / _UNIT_MM.get(int(_positive(tags.get(PLANE_UNIT))), 25.4),
         comment=_text(tags.get(COMMENT)),
     )
 

@@ -146,10 +146,10 @@ def _colour_channels(names: list[str]) -> dict[str, str]:
         key = {"red": "R", "green": "G", "blue": "B", "alpha": "A"}.get(channel.lower(), channel.upper())
         layers.setdefault(layer, {})[key] = name
     usable = {}
-    for layer, found in layers.items():
+    for layer, channels in layers.items():
         for keys in (("R", "G", "B"), ("Y", "RY", "BY"), ("Y",)):
-            if all(key in found for key in keys):
-                usable[layer] = {key: found[key] for key in (*keys, "A") if key in found}
+            if all(key in channels for key in keys):
+                usable[layer] = {key: channels[key] for key in (*keys, "A") if key in channels}
                 break
     if "" in usable:
         return usable[""]

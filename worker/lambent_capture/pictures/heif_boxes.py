@@ -69,7 +69,7 @@ def _associated(data: bytes, item: int) -> list[int]:
     id_bytes = 2 if data[:1] == b"\0" else 4
     index_bytes = 2 if data[3:4] and data[3] & 1 else 1
     mask = 0x7FFF if index_bytes == 2 else 0x7F
-    at, found = 8, []
+    at, numbers = 8, []
     for _ in range(min(int.from_bytes(data[4:8], "big"), 100_000)):
         if at + id_bytes + 1 > len(data):
             break
@@ -77,6 +77,6 @@ def _associated(data: bytes, item: int) -> list[int]:
         at += id_bytes + 1
         for _ in range(count):
             if current == item:
-                found.append(int.from_bytes(data[at : at + index_bytes], "big") & mask)
+                numbers.append(int.from_bytes(data[at : at + index_bytes], "big") & mask)
             at += index_bytes
-    return found
+    return numbers

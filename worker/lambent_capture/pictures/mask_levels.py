@@ -1,4 +1,4 @@
-"""What a mask file says of each pixel: grey levels, alpha, 0 and 1, labels, and their inverse.
+"""The meaning of a mask file's levels: grey levels, alpha, 0 and 1, labels, and their inverse.
 
 Programs write masks in a dozen ways. Each is read as its author meant it, and where that cannot be known the
 file is refused: training against a black mask gives nothing, and says nothing.

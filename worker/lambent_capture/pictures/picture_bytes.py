@@ -39,7 +39,7 @@ def format_of_bytes(start: bytes) -> str | None:
 
 
 def description_of_bytes(start: bytes) -> str:
-    """Return what a file that is no picture seems to be, as half a sentence."""
+    """Return what a file that is not a picture seems to be, as half a sentence."""
     if not start:
         return "it is empty"
     known = next((what for magic, what in _OTHERS.items() if start.startswith(magic)), None)

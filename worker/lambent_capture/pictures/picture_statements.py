@@ -1,4 +1,4 @@
-"""What an encoded picture states about itself: its colour space, and whether it is a mirror image."""
+"""Statements of an encoded picture about itself: its colour space, and whether it is a mirror image."""
 
 import warnings
 from pathlib import Path

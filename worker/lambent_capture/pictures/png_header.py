@@ -44,7 +44,7 @@ def late_exif(path: Path) -> bytes:
 
 
 def png_header(path: Path) -> PngHeader:
-    """Return what the chunks before the pixels say; raises ValueError for a file that is no PNG."""
+    """Return what the chunks before the pixels say; raises ValueError for a file that is not a PNG."""
     chunks: dict[bytes, bytes] = {}
     with path.open("rb") as file:
         file.seek(8)

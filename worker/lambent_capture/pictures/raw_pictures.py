@@ -33,7 +33,7 @@ def raw_available() -> bool:
 def raw_picture_size(path: Path) -> tuple[int, int]:
     """Return width and height in pixels that `raw_pixels` gives, from the header.
 
-    Raises `PictureError` for a missing file, for one that is no raw file, and where rawpy is not installed.
+    Raises `PictureError` for a missing file, one that is not a raw file, and where rawpy is not installed.
     """
     with _opened(path) as raw:
         sizes = raw.sizes

@@ -1,4 +1,4 @@
-"""Which way up a photograph is shown: as its camera stands in the world, whose third axis points up.
+"""The way up of a photograph: as its camera was held in the world, whose third axis points up.
 
 Pixels of files stay as they are stored: cameras were solved for these. Photographs that lie on their side are
 turned where people look at them, and where they become views of a bundle.

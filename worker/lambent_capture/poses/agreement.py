@@ -27,13 +27,13 @@ def contradicted(model: Any, database: Path) -> list[int]:
     """
     agreeing = _agreements(model, database)
     left = set(model.reg_image_ids())
-    found: list[int] = []
+    wrong: list[int] = []
     while True:
         shares = {image: share for image in left if (share := _share(agreeing, image, left)) is not None}
         worst = min(shares, key=lambda image: (shares[image], image), default=None)
         if worst is None or shares[worst] >= MIN_SHARE:
-            return found
-        found.append(worst)
+            return wrong
+        wrong.append(worst)
         left.remove(worst)
 
 

@@ -64,7 +64,7 @@ def solve_apart(
             "poses.crashed",
             f"the search for cameras ended with code {code}"
             + (f" ({said[-1][:200]})" if said else "")
-            + f"; the log is {work / 'colmap.log'}; run it again to go on from what was found",
+            + f"; the log is {work / 'colmap.log'}; run it again to continue from what was found",
         )
     # Everything is there, so this only reads it.
     return solve_cameras(photographs, work, settings)

@@ -39,9 +39,9 @@ def solve_capture(
 
     That has photographs, registered, missing, points, reprojection_error_px and findings. Where `out` was
     made from the same photographs, masks and settings it is left as it is; a search that `progress` ended
-    goes on there. Photographs without a camera are left out. Raises `SceneRefusedError` with what to do where
-    the photographs cannot be used or fit together too badly (nothing is written then), and `UsageError` where
-    `out` holds something else.
+    continues there. Photographs without a camera are left out. Raises `SceneRefusedError` with what to do
+    where the photographs cannot be used or fit together too badly (nothing is written then), and `UsageError`
+    where `out` holds something else.
     """
     settings = settings or PoseSettings()
     if out.exists() and not _is_ours(out):

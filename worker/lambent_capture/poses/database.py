@@ -53,7 +53,7 @@ def create_database(path: Path, shots: Sequence[Shot], features: Sequence[Featur
     partial.unlink(missing_ok=True)
     with pycolmap.Database.open(partial) as database:
         rigs: dict[tuple[object, ...], tuple[int, int]] = {}
-        for number, (shot, found) in enumerate(zip(shots, features, strict=True)):
+        for number, (shot, seen) in enumerate(zip(shots, features, strict=True)):
             if shot.lens not in rigs:
                 rigs[shot.lens] = _write_lens(database, shot, max_side)
             camera, rig = rigs[shot.lens]
@@ -63,8 +63,8 @@ def create_database(path: Path, shots: Sequence[Shot], features: Sequence[Featur
             frame.rig_id = rig
             frame.add_data_id(image.data_id)
             database.write_frame(frame)
-            database.write_keypoints(image.image_id, lying(found.points, shot, max_side))
-            descriptors = pycolmap.FeatureDescriptors(pycolmap.FeatureExtractorType.SIFT, found.descriptors)
+            database.write_keypoints(image.image_id, lying(seen.points, shot, max_side))
+            descriptors = pycolmap.FeatureDescriptors(pycolmap.FeatureExtractorType.SIFT, seen.descriptors)
             database.write_descriptors(image.image_id, descriptors)
     partial.replace(path)
 
@@ -131,12 +131,12 @@ def verified_pairs(path: Path) -> dict[tuple[int, int], int]:
     with pycolmap.Database.open(path) as database:
         numbers = {image.image_id: int(image.name) for image in database.read_all_images()}
         pairs, common = database.read_two_view_geometry_num_inliers()
-    found = {}
+    counts = {}
     for pair, count in zip(pairs, common, strict=True):
         first, second = sorted(numbers[image] for image in pycolmap.pair_id_to_image_pair(pair))
         if count:
-            found[first, second] = int(count)
-    return found
+            counts[first, second] = int(count)
+    return counts
 
 
 def flat_share(path: Path) -> float:

@@ -82,18 +82,18 @@ def find_features(
         return Features(points=np.zeros((0, 4), np.float32), descriptors=np.zeros((0, 128), np.uint8))
     grey, scale = grey_picture(path, box, max_side)
     # A mask may leave out some of the points within its box.
-    found = _sift(grey, max_features if covered is None else 2 * max_features)
+    spots = _sift(grey, max_features if covered is None else 2 * max_features)
     across, down = (box[2] - box[0]) / grey.shape[1], (box[3] - box[1]) / grey.shape[0]
-    stored = found.points[:, :2] * [across, down] + [box[0], box[1]]
+    stored = spots.points[:, :2] * [across, down] + [box[0], box[1]]
     kept = np.ones(len(stored), bool)
     if covered is not None:
         columns, rows = stored.astype(int).T
         kept = covered[rows.clip(0, height - 1), columns.clip(0, width - 1)]
     work = work_scale(width, height, max_side)
-    points = np.column_stack([stored * work, found.points[:, 2] * (work / scale), found.points[:, 3]])
+    points = np.column_stack([stored * work, spots.points[:, 2] * (work / scale), spots.points[:, 3]])
     return Features(
         points=points[kept][:max_features].astype(np.float32),
-        descriptors=found.descriptors[kept][:max_features],
+        descriptors=spots.descriptors[kept][:max_features],
     )
 
 
@@ -168,12 +168,12 @@ def _sift(grey: UInt8[ndarray, "height width"], max_features: int) -> Features:
     finder: Any = cv2.SIFT.create(
         nfeatures=max_features, contrastThreshold=CONTRAST, enable_precise_upscale=True
     )
-    found, gradients = finder.detectAndCompute(np.ascontiguousarray(grey), None)
+    spots, gradients = finder.detectAndCompute(np.ascontiguousarray(grey), None)
     if gradients is None:
         return Features(points=np.zeros((0, 4), np.float32), descriptors=np.zeros((0, 128), np.uint8))
-    order = np.argsort([-point.response for point in found], kind="stable")
+    order = np.argsort([-point.response for point in spots], kind="stable")
     points = np.array(
-        [[p.pt[0] + 0.5, p.pt[1] + 0.5, 0.5 * p.size, np.radians(p.angle)] for p in found], np.float32
+        [[p.pt[0] + 0.5, p.pt[1] + 0.5, 0.5 * p.size, np.radians(p.angle)] for p in spots], np.float32
     )
     return Features(points=points[order], descriptors=_rooted(gradients[order]))
 

@@ -75,18 +75,18 @@ def _sight(
     shot, content = read_shot(path), file_sha256(path)
     if not photographs.masked:
         key = digest(content, max_side, max_features, FORMAT)
-        found = _kept(folder / f"{key}.npz", lambda: find_features(path, max_side, max_features))
-        return key, Sight(shot=shot, features=found, whole=None)
+        features = _kept(folder / f"{key}.npz", lambda: find_features(path, max_side, max_features))
+        return key, Sight(shot=shot, features=features, whole=None)
     mask = file_sha256(photographs.masks.get(name, path))
     key = digest(content, mask, max_side, max_features, FORMAT)
 
     def find_covered() -> Features:
         return find_features(path, max_side, max_features, covered_pixels(photographs, name))
 
-    found = _kept(folder / f"{key}.npz", find_covered)
+    features = _kept(folder / f"{key}.npz", find_covered)
     survey_key = digest(content, SURVEY_SIDE, SURVEY_FEATURES, FORMAT)
     whole = _kept(folder / f"{survey_key}.npz", lambda: find_features(path, SURVEY_SIDE, SURVEY_FEATURES))
-    return key, Sight(shot=shot, features=found, whole=whole)
+    return key, Sight(shot=shot, features=features, whole=whole)
 
 
 def _kept(path: Path, find: Callable[[], Features]) -> Features:
@@ -94,6 +94,6 @@ def _kept(path: Path, find: Callable[[], Features]) -> Features:
     try:
         return Features.load(path)
     except (OSError, ValueError, KeyError, EOFError):
-        found = find()
-        found.save(path)
-        return found
+        features = find()
+        features.save(path)
+        return features

@@ -57,12 +57,12 @@ def find_photographs(folder: Path, masks_dir: Path | None, problems: Problems) -
     """Return the photographs in `folder`, or in its `images/`, with masks; None after noting what is wrong.
 
     Masks are the files in `masks_dir`, else those beside the photographs, else the photographs' own alpha.
-    All photographs have a mask, or none. Files that are no pictures are left out with a warning while most
+    All photographs have a mask, or none. Files that are not pictures are left out with a warning while most
     are.
     """
     root = folder_of_pictures(folder)
-    found = (root / name for name in photographs_in(root, problems, within=folder))
-    paths = [path for path in found if masks_dir is None or not path.is_relative_to(masks_dir)]
+    files = (root / name for name in photographs_in(root, problems, within=folder))
+    paths = [path for path in files if masks_dir is None or not path.is_relative_to(masks_dir)]
     if not problems.usable:
         return None
     beside = {} if masks_dir is not None else _masks_beside(paths, folder, problems)

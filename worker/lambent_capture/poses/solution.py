@@ -1,4 +1,4 @@
-"""What was found out about the cameras of photographs, and how it is kept in a folder."""
+"""The findings about the cameras of photographs, and how it is kept in a folder."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Finds the cameras of photographs: points, pairs, cameras, each kept so that an interrupted search goes on.
+"""Finds the cameras of photographs: points, pairs, cameras, each kept in case the search is interrupted.
 
 work/features/KEY.npz        points of a photograph, by the content of its file and mask
 work/solve-KEY/database.db   COLMAP's database with the matches; removed once all is done
@@ -24,7 +24,8 @@ from lambent_capture.poses.model import camera_poses, full_size_model, turn, wid
 from lambent_capture.poses.photographs import Photographs
 from lambent_capture.poses.solution import MODEL, Solution, mean_error_px
 from lambent_capture.poses.survey import Survey, choose_pairs, survey
-from lambent_capture.poses.upright import up_direction, z_up
+from lambent_capture.poses.upright import up_direction
+from lambent_capture.scenes.world import shortest_turn
 
 FORMAT = 2
 """Raised when cameras are found differently, so that none of an earlier version are taken up."""
@@ -50,7 +51,7 @@ class PoseSettings:
 
 
 class PoseProgress(Protocol):
-    """Is told how far the search is; may raise `Stopped` to end it."""
+    """Receives how far the search is; may raise `Stopped` to end it."""
 
     def __call__(self, phase: str, done: int, total: int) -> None:
         """Hear that `done` of `total` are done.
@@ -68,7 +69,7 @@ def solve_cameras(
 ) -> Solution:
     """Return the cameras of `photographs`, with the model in `work`.
 
-    `work` is kept by the caller. A search that was ended goes on there, and gives the same cameras; one that
+    `work` is kept by the caller. A search that was ended continues there and gives the same cameras; one that
     was finished is answered at once. Points are found again only in photographs (or masks) that changed.
     Photographs that cannot be read are left out and named in `Solution.faults`. Raises what `progress`
     raises.
@@ -107,7 +108,7 @@ def _solve(
     partners = {read[a]: (read[b], points) for a, (b, points) in db.partners(common).items()}
     stands = around.still_share >= STILL
     moves = len(partners) >= STILL * len(read)
-    found = Solution(
+    solution = Solution(
         names=names,
         features=tuple(len(sights[name].features) if name in sights else 0 for name in names),
         partners=partners,
@@ -119,11 +120,11 @@ def _solve(
         nothing_moved=stands and not moves,
         flat_share=db.flat_share(database) if common else 0.0,
     )
-    return _with_model(found, models, sights, folder, settings.max_side) if models else found
+    return _with_model(solution, models, sights, folder, settings.max_side) if models else solution
 
 
 def _with_model(
-    found: Solution, models: list[Model], sights: dict[str, Sight], folder: Path, max_side: int
+    solution: Solution, models: list[Model], sights: dict[str, Sight], folder: Path, max_side: int
 ) -> Solution:
     """Write the first of `models` at full size, upright if possible, and return the solution with it."""
     names, shots = tuple(sights), [sight.shot for sight in sights.values()]
@@ -131,11 +132,11 @@ def _with_model(
     poses = camera_poses(full)
     up = up_direction(np.array(list(poses.values())), [sights[name].shot.up_turns for name in poses])
     if up is not None:
-        turn(full, z_up(up))
+        turn(full, shortest_turn(up))
     write_model(full, folder / MODEL)
     others = [sorted(names[number] for number in _numbers([model])) for model in models[1:]]
     return replace(
-        found,
+        solution,
         camera_to_world=camera_poses(full),
         other_models=tuple(tuple(other) for other in others),
         num_points=full.num_points3D(),

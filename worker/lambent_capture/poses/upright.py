@@ -1,4 +1,4 @@
-"""Which way is up, judging by how the cameras were held and what EXIF says of that."""
+"""The direction that is up, judging by how the cameras were held and what EXIF says of that."""
 
 from collections.abc import Sequence
 
@@ -51,15 +51,6 @@ def turned_upright(
             right, down = pose[:3, 0].copy(), pose[:3, 1].copy()
             pose[:3, 0], pose[:3, 1] = down, -right
     return turned
-
-
-def z_up(up: Float64[ndarray, "3"]) -> Float64[ndarray, "3 3"]:
-    """Return the rotation that takes `up` to +z by the shortest way."""
-    if up[2] < -1.0 + 1e-9:
-        return np.diag([1.0, -1.0, -1.0])
-    cross = np.array([up[1], -up[0], 0.0])
-    skew = np.array([[0.0, -cross[2], cross[1]], [cross[2], 0.0, -cross[0]], [-cross[1], cross[0], 0.0]])
-    return np.eye(3) + skew + skew @ skew / (1.0 + up[2])
 
 
 def _square_to(

@@ -58,9 +58,9 @@ def object_crop(camera: scene_pb2.Camera, coverages: Iterable[Float32[ndarray, "
     """
     box: Box | None = None
     for coverage in coverages:
-        found = covered_box(coverage, camera)
-        if found is not None:
-            box = found if box is None else _union(box, found)
+        own = covered_box(coverage, camera)
+        if own is not None:
+            box = own if box is None else _union(box, own)
     return whole_frame(camera) if box is None else cropped(camera, with_margin(box, camera))
 
 

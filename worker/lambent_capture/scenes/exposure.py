@@ -50,8 +50,8 @@ def exif_exposure(path: Path) -> Exposure | None:
     Raises `PictureError` for a file that cannot be opened.
     """
     facts = exif_facts(path)
-    found = Exposure(time_s=facts.time_s, f_number=facts.f_number, iso=facts.iso)
-    return found if any(found.known) else None
+    exposure = Exposure(time_s=facts.time_s, f_number=facts.f_number, iso=facts.iso)
+    return exposure if any(exposure.known) else None
 
 
 def set_exposures(
@@ -103,10 +103,10 @@ def _exposures_of(
     """Return the exposure of each of a frame's photographs by light."""
     if frame.name in stated:
         return {image.light: stated[frame.name] for image in frame.images}
-    found: dict[str, Exposure | None] = {}
+    exposures: dict[str, Exposure | None] = {}
     for image in frame.images:
         try:
-            found[image.light] = exif_exposure(folder / image.path)
+            exposures[image.light] = exif_exposure(folder / image.path)
         except PictureError:  # reported where pictures are checked
-            found[image.light] = None
-    return found
+            exposures[image.light] = None
+    return exposures

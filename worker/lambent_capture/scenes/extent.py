@@ -25,7 +25,7 @@ def looked_at_point(
 
 
 def stand_apart(positions: Float64[ndarray, "cameras 3"], centre: Float64[ndarray, "3"]) -> bool:
-    """Return whether most cameras stand in different places, seen from the point they look at."""
+    """Return whether most cameras have different places, seen from the point they look at."""
     from_middle = np.linalg.norm(positions - np.median(positions, axis=0), axis=-1)
     return bool(np.median(from_middle) > 0.1 * np.median(np.linalg.norm(positions - centre, axis=-1)))
 

@@ -43,8 +43,8 @@ def files_below(folder: Path, within: Path, astray: list[Path]) -> Iterator[Path
             real.append(path)
             known.add(target)
         elif target.is_dir() and not _is_walked(target, folder.resolve()):
-            found, further = _walk(path)
-            for each in found:
+            inner, further = _walk(path)
+            for each in inner:
                 if each.resolve() not in known:
                     real.append(each)
                     known.add(each.resolve())
@@ -135,6 +135,6 @@ def note_links(astray: list[Path], folder: Path, problems: Problems, *, needed: 
 
 
 def shown_name(path: Path, folder: Path) -> str:
-    """Return how to call a file in messages, even if its name is no text."""
+    """Return how to call a file in messages, even if its name is not text."""
     name = path.relative_to(folder).as_posix().encode("utf-8", "replace").decode("utf-8")
     return "".join(letter if letter.isprintable() else "?" for letter in name)

@@ -110,8 +110,8 @@ def finite_numbers(value: object, count: int) -> list[float] | None:
     if not isinstance(value, list) or len(value) != count:
         return None
     numbers = [finite_number(item) for item in value]
-    found = [number for number in numbers if number is not None]
-    return found if len(found) == count else None
+    finite = [number for number in numbers if number is not None]
+    return finite if len(finite) == count else None
 
 
 def inside_folder(
@@ -128,8 +128,8 @@ def inside_folder(
     if clean is None or _DRIVE.match(given):
         problems.error(
             "scene.path_unsafe",
-            f'{subject}: path "{path[:200]}" leaves the scene folder or is no file name; use a path from the '
-            "folder of this file on, for example images/0001.jpg",
+            f'{subject}: path "{path[:200]}" leaves the scene folder or is not a file name; use a path from '
+            "the folder of this file on, for example images/0001.jpg",
             subject,
         )
         return None

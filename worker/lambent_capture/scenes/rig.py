@@ -15,7 +15,7 @@ MIN_TRAIN_FRAMES = 3
 def check_rig(frames: list[scene_pb2.Frame], problems: Problems, *, found_here: bool = False) -> None:
     """Note in `problems` what makes it impossible or unlikely to reconstruct anything from these cameras.
 
-    `found_here`: they are not what somebody gave, so the advice is about photographs.
+    `found_here`: they were not given by the user, so the advice is about photographs.
     """
     trained = [frame for frame in frames if frame.split == scene_pb2.SPLIT_TRAIN]
     if len(trained) < MIN_TRAIN_FRAMES:

@@ -153,14 +153,14 @@ def stand_upright(
     if up is None:
         problems.warning(
             "scene.up_unknown",
-            "the cameras were not held level, so which way is up cannot be told and the object may lie on "
+            "the cameras were not held level, so which way is up is unknown and the object may lie on "
             "its side under a new environment; turn the poses so that z points up",
         )
         return
     angle = np.degrees(np.arccos(np.clip(up[2], -1.0, 1.0)))
     if angle > LEVEL_ENOUGH_DEG:
         matrix = np.eye(4)
-        matrix[:3, :3] = _shortest_turn(up)
+        matrix[:3, :3] = shortest_turn(up)
         move(manifest, matrix)
 
 
@@ -183,7 +183,7 @@ def common_up(poses: Float64[ndarray, "frames 4 4"]) -> Float64[ndarray, "3"] | 
     return None if best is None else best[1]
 
 
-def _shortest_turn(up: Float64[ndarray, "3"]) -> Float64[ndarray, "3 3"]:
+def shortest_turn(up: Float64[ndarray, "3"]) -> Float64[ndarray, "3 3"]:
     """Return the rotation that takes `up` to +z about the axis square to both."""
     if up[2] < -1.0 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])

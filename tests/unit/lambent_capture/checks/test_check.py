@@ -112,12 +112,10 @@ def saying(lines):
 def at(killer, act):
     """Return the command of a child that runs `act` when it decodes `killer`."""
     script = (
-        "import ctypes, os, socket, subprocess, sys, lambent_capture.loading.inspect as i\n"
-        "real = i.picture_facts\n"
-        f"def act(path):\n    {act}\n    return real(path)\n"
-        f"i.picture_facts = lambda p: act(p) if str(p).endswith({killer!r}) else real(p)\n"
-        "import lambent_capture.checks.check_child as c\n"
-        "c.main()\n"
+        "import ctypes, os, socket, subprocess, sys, lambent_capture.loading.inspect as i\nreal = "
+        f"i.picture_facts\ndef act(path):\n    {act}\n    return real(path)\ni.picture_facts = lambda p: "
+        f"act(p) if str(p).endswith({killer!r}) else real(p)\nimport lambent_capture.checks.check_child as "
+        "c\nc.main()\n"
     )
     return [sys.executable, "-B", "-c", script]
 
@@ -220,10 +218,8 @@ def test_a_folder_that_python_starts_in_is_not_part_of_the_program(tmp_path):
     secret.write_text("secret")
     look = f"open({str(secret)!r})"
     program = (
-        "from pathlib import Path\n"
-        "from lambent_capture.checks import check\n"
-        f"check.COMMAND = {at('train/r_2.png', look)!r}\n"
-        f"print(check.check_capture(Path({str(folder)!r})).left_out)\n"
+        "from pathlib import Path\nfrom lambent_capture.checks import check\ncheck.COMMAND = "
+        f"{at('train/r_2.png', look)!r}\nprint(check.check_capture(Path({str(folder)!r})).left_out)\n"
     )
     (tmp_path / "starts_check.py").write_text(program)
     command = [sys.executable, "-m", "starts_check"]
@@ -345,11 +341,9 @@ def test_hostile_pictures_do_not_need_much_memory_or_time(tmp_path):
     huge_exr(folder / "test_000" / "distance.exr", 4000)
     # In a process of its own: the largest child of this one may be another test's.
     program = (
-        "import resource, sys; from pathlib import Path; "
-        "from lambent_capture.checks.check import check_capture; "
-        "usable = check_capture(Path(sys.argv[1])).report.usable; "
-        "use = resource.getrusage(resource.RUSAGE_CHILDREN); "
-        "print(usable, use.ru_maxrss, use.ru_utime)"
+        "import resource, sys; from pathlib import Path; from lambent_capture.checks.check import "
+        "check_capture; usable = check_capture(Path(sys.argv[1])).report.usable; use = "
+        "resource.getrusage(resource.RUSAGE_CHILDREN); print(usable, use.ru_maxrss, use.ru_utime)"
     )
     command = [sys.executable, "-c", program, folder]
     output = subprocess.run(command, check=True, capture_output=True, text=True).stdout

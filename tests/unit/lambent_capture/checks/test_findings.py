@@ -1,4 +1,4 @@
-"""How findings about many pictures are put."""
+"""Findings about many pictures are put into few words."""
 
 import pytest
 from lambent_capture.checks.findings import note_findings

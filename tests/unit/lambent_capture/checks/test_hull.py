@@ -52,7 +52,7 @@ def test_without_a_view_its_contradictions_do_not_count(views):
 def test_what_hardly_any_picture_shows_does_not_belong_to_the_hull(views):
     away = [Silhouette(ball_camera(np.array([1.0, 0.0, 0.0])), np.ones((64, 64), dtype=bool))] * 24
     hull = carved(away)
-    # The cone of the one picture goes on behind the object; beside it nothing is shown.
+    # The cone of the one picture continues behind the object; beside it nothing is shown.
     column, row, _ = away[0].camera.project(hull.points[hull.cells(hull.against(), 0)])
     assert (np.abs(np.stack([column, row]) - 32.0) <= 32.0).all()
 

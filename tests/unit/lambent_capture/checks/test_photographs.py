@@ -2,14 +2,13 @@
 
 import base64
 import io
-import json
 
 import numpy as np
 import pytest
 from lambent_capture.checks.photograph_limits import PhotographLimits
 from lambent_capture.checks.photographs import look
 from PIL import Image, ImageFilter
-from support.photographs import exif, view, write_views
+from support.photographs import view, write_views
 
 LIMITS = PhotographLimits()
 
@@ -40,15 +39,6 @@ def test_sharpness_is_relative_and_falls_with_blur(tmp_path):
     sharpness = {each.name: each.sharpness for each in figures.photographs}
     assert min(sharpness[name] for name in names[:4]) > 0.8
     assert sharpness["soft.jpg"] < 0.6 * min(sharpness[name] for name in names[:4])
-
-
-def test_lenses_are_told_apart_by_focal_length_and_size_but_not_by_a_quarter_turn(tmp_path):
-    write_views(tmp_path, 2)
-    view(2).transpose(Image.Transpose.ROTATE_90).save(tmp_path / "tall.jpg", exif=exif())
-    view(3).save(tmp_path / "zoomed.jpg", exif=exif(focal=55.0))
-    view(4).resize((384, 288)).save(tmp_path / "large.jpg", exif=exif())
-    names = ["IMG_0000.jpg", "IMG_0001.jpg", "tall.jpg", "zoomed.jpg", "large.jpg"]
-    assert sorted(look(tmp_path, names, LIMITS).lenses.values()) == [1, 1, 3]
 
 
 def write_masks(folder, count):
@@ -102,7 +92,8 @@ def test_copies_and_views_that_repeat_are_named_by_the_first(tmp_path):
     found = {each.name: (each.same_as, each.is_copy) for each in figures.photographs}
     assert found["copy.jpg"] == ("IMG_0000.jpg", True)
     assert found["again.jpg"] == ("IMG_0001.jpg", False)
-    assert figures.num_different == 2
+    assert not found["IMG_0000.jpg"][0]
+    assert not found["IMG_0001.jpg"][0]
 
 
 def test_an_object_that_turns_before_a_still_camera_is_not_the_same_view(tmp_path):
@@ -112,12 +103,10 @@ def test_an_object_that_turns_before_a_still_camera_is_not_the_same_view(tmp_pat
         picture = background.copy()
         picture.paste(view(10 + index).resize((48, 36)), (70, 50))
         picture.save(tmp_path / name, quality=92)
-    assert look(tmp_path, names, LIMITS).num_different == 4
+    assert not any(each.same_as for each in look(tmp_path, names, LIMITS).usable)
 
 
-def test_the_figures_are_json_and_the_thumbnails_small(tmp_path):
+def test_the_thumbnails_are_small(tmp_path):
     write_views(tmp_path, 2)
     figures = look(tmp_path, ["IMG_0000.jpg", "IMG_0001.jpg"], LIMITS)
-    record = json.loads(json.dumps(figures.record()))
-    assert record["photographs"][0]["facts"]["focal_mm"] == pytest.approx(28.0)
     assert {len(each) < 64 * 1024 for each in figures.thumbnails.values()} == {True}

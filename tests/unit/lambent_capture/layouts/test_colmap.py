@@ -8,7 +8,7 @@ from lambent_capture.layouts.colmap_model import MODELS as NUMBERED
 from lambent_capture.layouts.colmap_model import ModelError, read_cameras, read_images
 from lambent_capture.layouts.colmap_points import read_points
 from lambent_capture.layouts.detect import collect_scene, describe_scene
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.problems import Problems
 from lambent_capture.scenes.world import in_world, world_matrix
 from support.layouts import ColmapBinaryFolder, ColmapTextFolder
@@ -20,7 +20,7 @@ def model_file(capture, name):
 
 
 def only(folder):
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert len(report.findings) == 1, [f"{f.code}: {f.message}" for f in report.findings]
     return report.findings[0]
 
@@ -82,7 +82,7 @@ def test_a_model_that_no_pinhole_can_stand_in_for_is_refused(tmp_path, model):
         model
     ]
     model_file(capture, "cameras.txt").write_text(f"1 {model} {SIDE} {SIDE} {' '.join(['20'] * count)}\n")
-    report = inspect_capture(capture.folder)[0]
+    report = inspect_files(capture.folder).report
     assert {finding.code for finding in report.findings} == {"scene.lens_unsupported"}
     assert "image_undistorter" in report.findings[0].message
     assert model in report.findings[0].message
@@ -90,13 +90,13 @@ def test_a_model_that_no_pinhole_can_stand_in_for_is_refused(tmp_path, model):
 
 DAMAGE = {
     "images.txt": [
-        ("1 0.5 0.5 0.5 0.5 0 0\n\n", "no image"),
+        ("1 0.5 0.5 0.5 0.5 0 0\n\n", "not an image"),
         ("# Number of images: 2\n1 1 0 0 0 0 0 4 1 a.png\n\n", "announces 2 images and holds 1"),
         ("1 1 0 0 0 0 0 4 one a.png\n\n", "line 1"),
         ("1 x 0 0 0 0 0 4 1 a.png\n\n", "line 1"),
     ],
     "cameras.txt": [
-        ("1 PINHOLE 40\n", "no camera"),
+        ("1 PINHOLE 40\n", "not a camera"),
         ("1 PINHOLE 40 40 1 2\n", "2 parameters, 4 are needed"),
         ("1 PINHOLE 0 40 1 1 0 0\n", "0 x 40"),
         ("1 PINHOLE 4 4 1 1 2 2\n1 PINHOLE 4 4 1 1 2 2\n", "again"),
@@ -185,7 +185,9 @@ def test_a_name_that_leads_out_of_the_folder_is_refused(tmp_path):
     capture = ColmapTextFolder(tmp_path / "scene")
     path = model_file(capture, "images.txt")
     path.write_text(path.read_text().replace(" IMG_0003.png", " ../IMG_0003.png"))
-    assert {finding.code for finding in inspect_capture(capture.folder)[0].findings} == {"scene.path_unsafe"}
+    assert {finding.code for finding in inspect_files(capture.folder).report.findings} == {
+        "scene.path_unsafe"
+    }
 
 
 def test_half_a_model_is_an_error_that_names_the_other_half(tmp_path):
@@ -198,7 +200,8 @@ def test_half_a_model_is_an_error_that_names_the_other_half(tmp_path):
 def test_a_photograph_without_a_mask_is_left_out_where_most_have_one(tmp_path):
     capture = ColmapTextFolder(tmp_path / "scene")
     capture.mask(3).unlink()
-    report, manifest = inspect_capture(capture.folder)
+    inspection = inspect_files(capture.folder)
+    report, manifest = inspection.report, inspection.manifest
     assert report.usable
     assert [each.code for each in report.findings] == ["scene.pictures_left_out"]
     assert "images/IMG_0003.png has no mask masks/IMG_0003.png.png" in report.findings[0].message
@@ -210,7 +213,8 @@ def test_masks_that_most_photographs_lack_are_not_used(tmp_path):
     capture = ColmapTextFolder(tmp_path / "scene")
     for index in range(NUM_VIEWS // 2 + 1):
         capture.mask(index).unlink()
-    report, manifest = inspect_capture(capture.folder)
+    inspection = inspect_files(capture.folder)
+    report, manifest = inspection.report, inspection.manifest
     assert report.usable
     assert "scene.mask_unused" in {each.code for each in report.findings}
     assert len(manifest.frames) == NUM_VIEWS
@@ -221,7 +225,7 @@ def test_masks_may_be_named_by_the_stem(tmp_path):
     capture = ColmapTextFolder(tmp_path / "scene")
     for index in range(NUM_VIEWS):
         capture.mask(index).rename(capture.folder / "masks" / f"IMG_{index:04d}.png")
-    assert not inspect_capture(capture.folder)[0].findings
+    assert not inspect_files(capture.folder).report.findings
 
 
 def test_reduced_photographs_scale_the_lens(tmp_path):
@@ -245,7 +249,7 @@ def test_a_lens_of_a_newer_colmap_is_answered_with_the_undistorter(tmp_path, kin
     else:
         data = struct.pack("<QiiQQ", 1, 1, number, SIDE, SIDE) + struct.pack(f"<{count}d", *[20.0] * count)
         model_file(capture, "cameras.bin").write_bytes(data)
-    report = inspect_capture(capture.folder)[0]
+    report = inspect_files(capture.folder).report
     assert {finding.code for finding in report.findings} == {"scene.lens_unsupported"}
     assert model in report.findings[0].message
     assert "image_undistorter" in report.findings[0].message
@@ -299,6 +303,7 @@ def test_photographs_may_be_named_in_the_spelling_of_another_system(tmp_path, ki
             (path.parent / inner).mkdir(exist_ok=True)
             path.rename(path.parent / inner / path.name)
     capture.write_model([(turn, shift, spelling(name)) for turn, shift, name in capture.rows()])
-    report, manifest = inspect_capture(capture.folder)
+    inspection = inspect_files(capture.folder)
+    report, manifest = inspection.report, inspection.manifest
     assert not [each.message for each in report.findings]
     assert all(frame.mask.endswith(".png.png") for frame in manifest.frames)

@@ -5,7 +5,7 @@ import shutil
 import pytest
 from lambent_capture.layouts.colmap_places import model_folder, picture_folder
 from lambent_capture.layouts.detect import describe_scene, detect_layout
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.scenes.reading import ROOT
 from support.layouts import ColmapBinaryFolder, ColmapTextFolder
 from support.uneven_object import NUM_VIEWS
@@ -42,7 +42,7 @@ def test_the_model_may_lie_in_any_usual_place(tmp_path, kind, place):
     move_model(capture, place)
     assert model_folder(capture.folder) == place
     assert describe_scene(capture.folder) == before
-    assert not inspect_capture(capture.folder)[0].findings
+    assert not inspect_files(capture.folder).report.findings
 
 
 def test_a_list_of_images_alone_is_no_model(tmp_path):
@@ -66,7 +66,7 @@ def test_the_largest_of_several_models_is_used_and_the_others_are_named(tmp_path
     shutil.copytree(tmp_path / "large", capture.folder / "sparse" / large)
     shutil.rmtree(kept)
     assert describe_scene(capture.folder) == before
-    (finding,) = inspect_capture(capture.folder)[0].findings
+    (finding,) = inspect_files(capture.folder).report.findings
     assert finding.code == "scene.models_several"
     assert f"sparse/{large} with {NUM_VIEWS} photographs" in finding.message
     assert f"sparse/{small} (4)" in finding.message

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 from lambent_capture.layouts.detect import describe_scene
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.loading.load import load_scene
 from lambent_proto.v1 import scene_pb2
 from support.layouts import GlossyFolder
@@ -20,7 +20,7 @@ def capture(tmp_path):
 
 
 def only(folder):
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert len(report.findings) == 1, [f"{f.code}: {f.message}" for f in report.findings]
     return report.findings[0]
 
@@ -39,7 +39,7 @@ def test_the_object_may_lie_in_the_folder_or_one_or_two_below(capture, tmp_path,
     shutil.copytree(capture.base, folder.joinpath(*["a", "b"][:levels]))
     split = capture.folder / "synthetic_split_128.pkl"
     shutil.copy(split, folder.joinpath(*["a", "b"][: max(levels - 1, 0)]))
-    assert not inspect_capture(folder)[0].findings
+    assert not inspect_files(folder).report.findings
     assert held_out(folder) == {"7", "15"}
 
 
@@ -65,7 +65,7 @@ def test_the_mask_is_what_is_nearer_than_the_background(capture):
 def test_several_objects_are_an_error_that_names_them(capture):
     shutil.copytree(capture.base, capture.folder / "teapot")
     finding = next(
-        f for f in inspect_capture(capture.folder)[0].findings if f.severity == scene_pb2.SEVERITY_ERROR
+        f for f in inspect_files(capture.folder).report.findings if f.severity == scene_pb2.SEVERITY_ERROR
     )
     assert finding.code == "scene.object_ambiguous"
     assert "potion, teapot" in finding.message
@@ -84,7 +84,7 @@ def test_a_pickle_that_would_run_something_is_refused_and_does_not(capture, tmp_
     mark = tmp_path / "was_here"
     (capture.folder / place).write_bytes(pickle.dumps([Command(mark), np.eye(3)]))
     finding = next(
-        f for f in inspect_capture(capture.folder)[0].findings if f.severity == scene_pb2.SEVERITY_ERROR
+        f for f in inspect_files(capture.folder).report.findings if f.severity == scene_pb2.SEVERITY_ERROR
     )
     assert (finding.code, finding.subject) == ("scene.pickle_refused", place)
     assert "system" in finding.message

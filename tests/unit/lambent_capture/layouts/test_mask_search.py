@@ -1,4 +1,4 @@
-"""Masks that lie beside photographs are used, wherever people put them, or a finding says why not."""
+"""Masks next to photographs are used, wherever people put them, or a finding says why not."""
 
 import numpy as np
 import pytest

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from lambent_capture.layouts.detect import describe_scene
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.loading.load import load_scene
 from lambent_capture.pictures.lens import LensFigures, camera_with_lens, distorted
 from lambent_capture.problems import Problems
@@ -29,7 +29,7 @@ def change(capture, frame=None, **values):
 
 
 def only(folder):
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert len(report.findings) == 1, [f"{f.code}: {f.message}" for f in report.findings]
     return report.findings[0]
 
@@ -88,7 +88,7 @@ def distorted_capture(folder, side=80):
 
 def test_distortion_is_undone_so_that_the_silhouettes_of_the_pinhole_are_the_true_ones(tmp_path):
     capture = distorted_capture(tmp_path / "scene")
-    assert not inspect_capture(capture.folder)[0].findings
+    assert not inspect_files(capture.folder).report.findings
     scene = load_scene(capture.folder, describe_scene(capture.folder), max_side=200)
     camera, alpha = scene.train[0].camera, scene.train[0].images["capture"][..., 3]
     # The true silhouette, wider and finer, looked up along the directions of the pinhole's pixels.
@@ -139,7 +139,7 @@ def test_split_lists_say_what_is_trained_on(tmp_path):
     manifest = describe_scene(capture.folder)
     assert names(manifest, scene_pb2.SPLIT_TRAIN) == [f"frame_{index:05d}" for index in range(11)]
     assert names(manifest, scene_pb2.SPLIT_TEST) == [f"frame_{index:05d}" for index in range(11, 14)]
-    assert not inspect_capture(capture.folder)[0].findings
+    assert not inspect_files(capture.folder).report.findings
 
 
 def test_validation_frames_stand_in_for_test_frames(tmp_path):
@@ -169,7 +169,7 @@ def test_split_lists_that_do_not_fit_the_frames_are_errors(tmp_path, lists, code
     capture = NerfstudioFolder(tmp_path / "scene")
     paths = [capture.path(index) for index in range(NUM_VIEWS)]
     change(capture, **{"train_filenames": paths, **lists})
-    assert code in {finding.code for finding in inspect_capture(capture.folder)[0].findings}
+    assert code in {finding.code for finding in inspect_files(capture.folder).report.findings}
 
 
 @pytest.mark.parametrize(
@@ -202,7 +202,7 @@ def test_a_picture_turned_by_exif_says_so(tmp_path):
     change(capture, w=SIDE, h=2 * SIDE, cy=SIDE)
     for index in range(NUM_VIEWS):
         save(capture.picture(index), np.zeros((SIDE, 2 * SIDE, 3), dtype=np.uint8) + index)
-    report = inspect_capture(capture.folder)[0]
+    report = inspect_files(capture.folder).report
     assert {finding.code for finding in report.findings} == {"scene.image_size"}
     assert "EXIF orientation" in report.findings[0].message
 

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 from lambent_capture.layouts.detect import describe_scene
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_proto.v1 import scene_pb2
 from support.captures import save
 from support.layouts import OpenIlluminationFolder
@@ -19,7 +19,7 @@ def capture(tmp_path):
 
 
 def only(folder):
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert len(report.findings) == 1, [f"{f.code}: {f.message}" for f in report.findings]
     return report.findings[0]
 
@@ -34,7 +34,7 @@ def test_the_paper_s_training_light_comes_first_then_its_others_then_the_rest(ca
 def test_the_object_may_be_the_folder_or_lie_among_the_patterns(capture, tmp_path, above):
     folder = tmp_path / "upload"
     shutil.copytree(capture.base, folder / above / "obj" if above else folder)
-    assert not inspect_capture(folder)[0].findings
+    assert not inspect_files(folder).report.findings
     assert len(describe_scene(folder).frames) == NUM_VIEWS
 
 
@@ -59,7 +59,7 @@ def test_test_views_use_the_mask_of_the_object_without_its_stand(capture):
     with_test_split(capture, 5, 9)
     masks = {f.name: f.mask.split("/")[-2] for f in describe_scene(capture.folder).frames}
     assert [name for name, kind in masks.items() if kind == "obj_masks"] == [capture.key(5), capture.key(9)]
-    assert not inspect_capture(capture.folder)[0].findings
+    assert not inspect_files(capture.folder).report.findings
 
 
 def test_a_missing_mask_is_an_error_that_names_it(capture):
@@ -95,11 +95,11 @@ def test_photographs_reduced_by_a_whole_factor_are_accepted_and_cropped_ones_not
     for frame in frames.values():
         frame["calib_imgw"] = 2 * SIDE
     capture.write_cameras(frames)
-    assert not inspect_capture(capture.folder)[0].findings
+    assert not inspect_files(capture.folder).report.findings
     for frame in frames.values():
         frame["calib_imgw"] = 1.5 * SIDE
     capture.write_cameras(frames)
-    report = inspect_capture(capture.folder)[0]
+    report = inspect_files(capture.folder).report
     assert {f.code for f in report.findings} == {"scene.image_size"}
 
 
@@ -127,7 +127,7 @@ def test_photographs_in_other_formats_are_found(capture):
         for light in ("009", "013"):
             capture.photograph(index, light).unlink()
             save(capture.photograph(index, light).with_suffix(".png"), colours(index + 100 * int(light)))
-    assert not inspect_capture(capture.folder)[0].findings
+    assert not inspect_files(capture.folder).report.findings
     assert all(
         f.split in (scene_pb2.SPLIT_TRAIN, scene_pb2.SPLIT_TEST)
         for f in describe_scene(capture.folder).frames

@@ -74,7 +74,7 @@ def test_found_cameras_make_a_capture_of_the_users_own_files(tmp_path):
     problems = Problems()
     manifest = collect_scene(folder, None, problems, cameras=cameras)
     assert [each.code for each in problems.findings()] == [], (
-        "a photograph without a camera is no surplus file"
+        "a photograph without a camera is not a surplus file"
     )
     assert [frame.images[0].path for frame in manifest.frames] == [f"images/{name}" for name in NAMES[:3]]
     assert not photographs.lacks_cameras(manifest.frames)

@@ -1,4 +1,4 @@
-"""Polycam's raw data is read with its cameras; its maps are no photographs."""
+"""Polycam's raw data is read with its cameras; its maps are not photographs."""
 
 import json
 import shutil
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from lambent_capture.checks.check import check_capture
 from lambent_capture.layouts.detect import collect_scene, describe_scene, detect_layout
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.problems import Problems
 from lambent_capture.scenes.world import world_matrix
 from support.captures import save
@@ -60,13 +60,13 @@ def test_up_is_where_the_telephone_says_it_is(tmp_path):
     manifest = describe_scene(write_polycam(tmp_path))
     up = world_matrix(manifest)[:3, :3] @ [0.0, 1.0, 0.0]
     assert up / np.linalg.norm(up) == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
-    assert not inspect_capture(tmp_path)[0].findings
+    assert not inspect_files(tmp_path).report.findings
 
 
 def test_a_few_photographs_may_be_missing(tmp_path):
     folder = write_polycam(tmp_path)
     (folder / "keyframes" / "corrected_images" / "1003.png").unlink()
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert report.usable
     assert [each.code for each in report.findings] == ["scene.frames_without_picture"]
 
@@ -75,7 +75,7 @@ FAULTS = {
     "no lens": ({"fx": None}, "scene.camera_missing"),
     "no pose": ({"t_12": None}, "scene.camera_missing"),
     "a lens that is no number": ({"fx": "wide"}, "scene.lens_invalid"),
-    "a pose that is no rotation": ({"t_12": 7.0}, "scene.camera_not_rigid"),
+    "a pose that is not a rotation": ({"t_12": 7.0}, "scene.camera_not_rigid"),
 }
 
 
@@ -83,7 +83,7 @@ FAULTS = {
 def test_a_faulty_camera_is_named_with_its_file(tmp_path, changes, code):
     folder = write_polycam(tmp_path)
     write_camera(folder / "keyframes" / "corrected_cameras" / "1003.json", Y_UP @ poses()[3], **changes)
-    (finding,) = inspect_capture(folder)[0].findings
+    (finding,) = inspect_files(folder).report.findings
     assert finding.code == code
     assert "corrected_cameras/1003.json" in finding.message
 

@@ -5,7 +5,7 @@ import unicodedata
 
 import pytest
 from lambent_capture.layouts.detect import describe_scene
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from support.captures import edit_frame, read_transforms, write_blender, write_transforms
 from support.layouts import NerfstudioFolder
 from support.uneven_object import NUM_VIEWS
@@ -65,7 +65,7 @@ def test_a_spelling_that_fits_two_pictures_is_not_guessed(tmp_path):
     (folder / "train" / "r_3.png").rename(folder / "train" / "X.jpg")
     edit_frame(folder, 2, file_path="./train/x.jpg")
     edit_frame(folder, 3, file_path=None)
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert "x.jpg" in next(f.message for f in report.findings if f.code == "scene.frames_without_picture")
 
 
@@ -106,7 +106,7 @@ def test_a_pose_of_four_rows_of_three_is_refused(tmp_path):
     rows = transforms["frames"][0]["transform_matrix"]
     transforms["frames"][0]["transform_matrix"] = [row[:3] for row in rows]
     write_transforms(folder, "train", transforms)
-    assert [each.code for each in inspect_capture(folder)[0].findings] == ["scene.camera_invalid"]
+    assert [each.code for each in inspect_files(folder).report.findings] == ["scene.camera_invalid"]
 
 
 def test_a_picture_in_another_format_is_named_by_its_own_name(tmp_path):
@@ -114,7 +114,7 @@ def test_a_picture_in_another_format_is_named_by_its_own_name(tmp_path):
     for index in range(NUM_VIEWS):
         capture.picture(index).rename(capture.picture(index).with_suffix(".jp2"))
     capture.write_cameras([{**each, "file_path": each["file_path"][:-4]} for each in capture.entries()])
-    report = inspect_capture(capture.folder)[0]
+    report = inspect_files(capture.folder).report
     assert {each.code for each in report.findings} == {"scene.image_format"}
     assert "images/frame_00000.jp2 has a format that is not read" in report.findings[0].message
 
@@ -122,10 +122,10 @@ def test_a_picture_in_another_format_is_named_by_its_own_name(tmp_path):
 def test_a_picture_with_another_suffix_is_named_as_a_way_out(tmp_path):
     capture = NerfstudioFolder(tmp_path)
     capture.picture(3).rename(capture.picture(3).with_suffix(".png"))
-    report = inspect_capture(capture.folder)[0]
+    report = inspect_files(capture.folder).report
     assert report.usable
     edited = [{**each, "file_path": each["file_path"].replace(".jpg", ".webp")} for each in capture.entries()]
     capture.write_cameras(edited)
-    message = inspect_capture(capture.folder)[0].findings[0].message
+    message = inspect_files(capture.folder).report.findings[0].message
     assert "there is no images/frame_00000.webp" in message
     assert "but images/frame_00000.jpg" in message

@@ -4,7 +4,7 @@ import math
 
 import pytest
 from lambent_capture.layouts.transforms_lens import read_lens
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.problems import Problems
 from lambent_proto.v1 import scene_pb2
 from support.captures import edit_frame, write_blender
@@ -28,7 +28,7 @@ LENSES = {
 def test_a_lens_that_no_pinhole_can_stand_in_for_is_refused_with_its_frame(tmp_path, lens, code):
     folder = write_blender(tmp_path)
     edit_frame(folder, 1, **lens)
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert codes(report) == [code]
     assert "r_1" in report.findings[0].message
 

@@ -3,7 +3,7 @@
 import pytest
 from lambent_capture.checks.check import check_capture
 from lambent_capture.layouts.unread_formats import counted, is_unread, note_unread
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.pictures.pictures import PICTURE_SUFFIXES
 from lambent_capture.problems import Problems
 from support.captures import write_tensoir
@@ -16,7 +16,7 @@ def test_they_are_named_in_every_layout(tmp_path, layout):
     capture = layout(tmp_path / "scene")
     for number in range(3):
         (capture.picture(3).parent / f"more_{number}.JP2").write_bytes(b"\0")
-    (finding,) = (each for each in inspect_capture(capture.folder)[0].findings)
+    (finding,) = (each for each in inspect_files(capture.folder).report.findings)
     assert finding.code == "scene.image_format"
     assert "3 .jp2 are not read" in finding.message
     assert "more_0.JP2" in finding.message

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.pictures import pictures
 from lambent_capture.problems import MAX_FINDINGS
 from lambent_proto.v1 import scene_pb2
@@ -36,18 +36,18 @@ def subject_of(report, code):
 
 
 def test_a_good_capture_is_usable_and_counted(tmp_path):
-    report = inspect_capture(write_tensoir(tmp_path))[0]
+    report = inspect_files(write_tensoir(tmp_path)).report
     assert report.usable
     assert not report.findings
     assert (report.num_train_frames, report.num_test_frames) == (5, 2)
 
 
 def test_a_folder_that_is_not_there_is_said_so(tmp_path):
-    assert codes(inspect_capture(tmp_path / "nowhere")[0]) == ["scene.folder_missing"]
+    assert codes(inspect_files(tmp_path / "nowhere").report) == ["scene.folder_missing"]
 
 
 def test_an_unknown_layout_says_what_was_looked_for(tmp_path):
-    report = inspect_capture(tmp_path)[0]
+    report = inspect_files(tmp_path).report
     assert codes(report) == ["scene.layout_unknown"]
     assert "transforms_train.json" in report.findings[0].message
 
@@ -69,7 +69,7 @@ BROKEN_PICTURES = {
 def test_a_broken_picture_is_an_error_that_names_the_file(tmp_path, damage, code):
     folder = write_tensoir(tmp_path, relight=("city",))
     damage(folder / "test_001" / "rgba_city.png")
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert not report.usable
     assert code in codes(report)
     assert subject_of(report, code) == "test_001/rgba_city.png"
@@ -81,13 +81,13 @@ def test_a_flipped_bit_in_the_pixels_is_found(tmp_path):
     data = bytearray(path.read_bytes())
     data[data.index(b"IDAT") + 30] ^= 0xFF
     path.write_bytes(data)
-    assert "scene.image_broken" in codes(inspect_capture(folder)[0])
+    assert "scene.image_broken" in codes(inspect_files(folder).report)
 
 
 def test_an_exr_that_asks_for_gigabytes_is_refused_by_its_header(tmp_path):
     folder = write_tensoir(tmp_path)
     huge_exr(folder / "test_000" / "distance.exr", 100_000)
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert codes(report) == ["scene.image_too_large"]
     assert subject_of(report, "scene.image_too_large") == "test_000/distance.exr"
 
@@ -95,7 +95,7 @@ def test_an_exr_that_asks_for_gigabytes_is_refused_by_its_header(tmp_path):
 def test_an_exr_of_nothing_but_a_header_is_broken(tmp_path):
     folder = write_tensoir(tmp_path)
     huge_exr(folder / "test_000" / "distance.exr", 12)
-    assert codes(inspect_capture(folder)[0]) == ["scene.image_broken"]
+    assert codes(inspect_files(folder).report) == ["scene.image_broken"]
 
 
 def test_an_exr_without_a_number_in_a_pixel_is_refused(tmp_path):
@@ -107,7 +107,7 @@ def test_an_exr_without_a_number_in_a_pixel_is_refused(tmp_path):
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with OpenEXR.File(header, {"RGB": pixels}) as file:
         file.write(str(folder / "train" / "r_0.exr"))
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     (note,) = (f for f in report.findings if f.code == "scene.pictures_left_out")
     assert note.subject == "train/r_0.exr"
     assert "NaN" in note.message
@@ -133,7 +133,7 @@ BAD_POSES = {
 def test_a_pose_that_is_none_is_an_error_that_names_the_frame(tmp_path, matrix, code):
     folder = write_blender(tmp_path)
     edit_frame(folder, 2, transform_matrix=matrix)
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert codes(report) == [code]
     assert "r_2" in report.findings[0].message
 
@@ -142,7 +142,7 @@ def test_a_pose_that_is_none_is_an_error_that_names_the_frame(tmp_path, matrix, 
 def test_an_impossible_field_of_view_is_an_error(tmp_path, angle):
     folder = write_blender(tmp_path)
     write_transforms(folder, "train", {**read_transforms(folder), "camera_angle_x": angle})
-    assert set(codes(inspect_capture(folder)[0])) == {"scene.camera_angle_invalid", "scene.too_few_images"}
+    assert set(codes(inspect_files(folder).report)) == {"scene.camera_angle_invalid", "scene.too_few_images"}
 
 
 def test_a_frame_without_a_lens_is_an_error(tmp_path):
@@ -150,14 +150,14 @@ def test_a_frame_without_a_lens_is_an_error(tmp_path):
     transforms = read_transforms(folder)
     del transforms["camera_angle_x"]
     write_transforms(folder, "train", transforms)
-    assert "scene.camera_missing" in codes(inspect_capture(folder)[0])
+    assert "scene.camera_missing" in codes(inspect_files(folder).report)
 
 
 @pytest.mark.parametrize("lens", [{"fl_x": 0}, {"fl_x": 10, "cx": "middle"}, {"fl_x": 10, "w": -4}])
 def test_a_lens_of_nonsense_is_an_error(tmp_path, lens):
     folder = write_blender(tmp_path)
     edit_frame(folder, 0, **lens)
-    assert codes(inspect_capture(folder)[0]) == ["scene.lens_invalid"]
+    assert codes(inspect_files(folder).report) == ["scene.lens_invalid"]
 
 
 @pytest.mark.parametrize(
@@ -179,19 +179,19 @@ def test_a_lens_of_nonsense_is_an_error(tmp_path, lens):
 def test_a_path_out_of_the_folder_is_an_error(tmp_path, path):
     folder = write_blender(tmp_path)
     edit_frame(folder, 0, file_path=path)
-    assert codes(inspect_capture(folder)[0]) == ["scene.path_unsafe"]
+    assert codes(inspect_files(folder).report) == ["scene.path_unsafe"]
 
 
 def test_a_picture_named_twice_is_an_error(tmp_path):
     folder = write_blender(tmp_path)
     edit_frame(folder, 1, file_path="./train/r_0")
-    assert codes(inspect_capture(folder)[0]) == ["scene.frame_duplicate"]
+    assert codes(inspect_files(folder).report) == ["scene.frame_duplicate"]
 
 
 def test_the_same_picture_under_two_names_is_a_warning(tmp_path):
     folder = write_blender(tmp_path)
     (folder / "train" / "r_1.png").write_bytes((folder / "train" / "r_0.png").read_bytes())
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert report.usable
     assert warnings_of(report) == ["scene.image_duplicate"]
 
@@ -210,13 +210,13 @@ def test_unreadable_metadata_is_an_error(tmp_path, text):
     folder = write_blender(tmp_path)
     path = folder / "transforms_train.json"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    assert "scene.metadata_unreadable" in codes(inspect_capture(folder)[0])
+    assert "scene.metadata_unreadable" in codes(inspect_files(folder).report)
 
 
 def test_a_view_without_metadata_has_no_camera(tmp_path):
     folder = write_tensoir(tmp_path)
     (folder / "train_003" / "metadata.json").unlink()
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert codes(report) == ["scene.camera_missing"]
     assert subject_of(report, "scene.camera_missing") == "train_003"
 
@@ -224,18 +224,18 @@ def test_a_view_without_metadata_has_no_camera(tmp_path):
 def test_a_light_that_one_view_lacks_is_an_error_that_names_the_file(tmp_path):
     folder = write_tensoir(tmp_path, lights=("sunset", "snow"))
     (folder / "train_001" / "rgba_snow.png").unlink()
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert subject_of(report, "scene.file_missing") == "train_001/rgba_snow.png"
 
 
 def test_two_photographs_are_too_few(tmp_path):
-    assert codes(inspect_capture(write_blender(tmp_path, num_train=2))[0]) == ["scene.too_few_images"]
+    assert codes(inspect_files(write_blender(tmp_path, num_train=2)).report) == ["scene.too_few_images"]
 
 
 def test_a_scene_of_no_frames_at_all_is_too_few(tmp_path):
     folder = write_blender(tmp_path, num_test=0)
     write_transforms(folder, "train", {"camera_angle_x": 0.7, "frames": []})
-    assert codes(inspect_capture(folder)[0]) == ["scene.too_few_images"]
+    assert codes(inspect_files(folder).report) == ["scene.too_few_images"]
 
 
 def place_cameras(folder, poses):
@@ -248,14 +248,14 @@ def place_cameras(folder, poses):
 def test_cameras_on_one_spot_see_no_depth(tmp_path):
     folder = write_blender(tmp_path, num_test=0)
     place_cameras(folder, [look_at(np.array([4.0, 0, 1]), np.array([0, y, 0.0])) for y in range(5)])
-    assert codes(inspect_capture(folder)[0]) == ["scene.cameras_coincide"]
+    assert codes(inspect_files(folder).report) == ["scene.cameras_coincide"]
 
 
 def test_parallel_cameras_look_at_nothing_in_common(tmp_path):
     folder = write_blender(tmp_path, num_test=0)
     spots = [np.array([4.0, 10.0 * y, 1.0]) for y in range(5)]
     place_cameras(folder, [look_at(spot, spot - [4.0, 0.0, 1.0]) for spot in spots])
-    assert codes(inspect_capture(folder)[0]) == ["scene.cameras_parallel"]
+    assert codes(inspect_files(folder).report) == ["scene.cameras_parallel"]
 
 
 def test_poses_in_opencv_axes_are_recognised(tmp_path):
@@ -263,7 +263,7 @@ def test_poses_in_opencv_axes_are_recognised(tmp_path):
     flipped = np.diag([1.0, -1.0, -1.0, 1.0])
     frames = read_transforms(folder)["frames"]
     place_cameras(folder, [np.array(frame["transform_matrix"]) @ flipped for frame in frames])
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert codes(report) == ["scene.cameras_look_away"]
     assert "diag(1, -1, -1, 1)" in report.findings[0].message
 
@@ -273,13 +273,13 @@ def test_views_that_do_not_overlap_are_refused(tmp_path):
     spots = [np.array([4.0 * np.cos(a), 4.0 * np.sin(a), 1.0]) for a in np.linspace(0, 5, 5)]
     aside = [spot + np.array([-spot[1], spot[0], 0.0]) - 0.5 * spot for spot in spots]
     place_cameras(folder, [look_at(spot, target) for spot, target in zip(spots, aside, strict=True)])
-    assert codes(inspect_capture(folder)[0]) == ["scene.no_overlap"]
+    assert codes(inspect_files(folder).report) == ["scene.no_overlap"]
 
 
 def test_one_camera_that_looks_elsewhere_is_a_warning_that_names_it(tmp_path):
     folder = write_blender(tmp_path, num_train=12, num_test=0)
     edit_frame(folder, 3, transform_matrix=look_at(np.array([0.0, 4.0, 1.0]), np.array([6, 4.0, 0])).tolist())
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert report.usable
     assert subject_of(report, "scene.camera_looks_elsewhere") == "train_r_3"
 
@@ -291,7 +291,7 @@ def test_an_object_away_from_the_origin_needs_no_attention(tmp_path):
         for frame in transforms["frames"]:
             frame["transform_matrix"][2][3] += 3.0
         write_transforms(folder, split, transforms)
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert report.usable
     assert warnings_of(report) == []
 
@@ -300,13 +300,13 @@ def test_photographs_without_a_cut_out_object_are_a_warning(tmp_path):
     folder = write_blender(tmp_path, num_test=0)
     for index in range(5):
         save(folder / "train" / f"r_{index}.png", photograph(index)[..., :3])
-    assert warnings_of(inspect_capture(folder)[0]) == ["scene.no_mask"]
+    assert warnings_of(inspect_files(folder).report) == ["scene.no_mask"]
 
 
 def test_a_fully_transparent_photograph_is_a_warning(tmp_path):
     folder = write_blender(tmp_path)
     save(folder / "train" / "r_0.png", np.zeros((12, 12, 4), dtype=np.uint8))
-    assert warnings_of(inspect_capture(folder)[0]) == ["scene.image_empty"]
+    assert warnings_of(inspect_files(folder).report) == ["scene.image_empty"]
 
 
 def test_everything_that_is_wrong_is_reported_at_once(tmp_path):
@@ -317,7 +317,7 @@ def test_everything_that_is_wrong_is_reported_at_once(tmp_path):
     data = (folder / "train" / "r_3.png").read_bytes()
     (folder / "train" / "r_3.png").write_bytes(data[:-30])
     (folder / "model.onnx").write_bytes(b"\x08")
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert set(codes(report)) == {"scene.camera_missing", "scene.path_unsafe"}
     assert warnings_of(report) == ["scene.pictures_left_out", "scene.unsupported_file"]
     left_out = next(f.message for f in report.findings if f.code == "scene.pictures_left_out")
@@ -331,7 +331,7 @@ def test_a_hundred_findings_are_enough_and_errors_come_first(tmp_path):
     transforms["frames"] += [{"file_path": f"gone_{i}"} for i in range(150)]
     write_transforms(folder, "train", transforms)
     (folder / "model.onnx").write_bytes(b"\x08")
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert len(report.findings) == MAX_FINDINGS
     assert "scene.unsupported_file" not in {finding.code for finding in report.findings}
     assert report.findings[-1].code == "scene.more_findings"
@@ -342,14 +342,14 @@ def test_messages_say_what_to_do(tmp_path):
     folder = write_blender(tmp_path)
     edit_frame(folder, 0, transform_matrix=None)
     (folder / "train" / "r_1.png").unlink()
-    for finding in inspect_capture(folder)[0].findings:
+    for finding in inspect_files(folder).report.findings:
         assert any(word in finding.message for word in ("add", "remove", "use")), finding.message
 
 
 def test_scene_json_with_nonsense_is_an_error(tmp_path):
     folder = write_tensoir(tmp_path)
     (folder / "scene.json").write_text(json.dumps({"near_far": [6, 2], "bbox": [[0, 0], [1, 1]]}))
-    assert codes(inspect_capture(folder)[0]) == ["scene.extent_invalid"] * 2
+    assert codes(inspect_files(folder).report) == ["scene.extent_invalid"] * 2
 
 
 def test_a_file_that_killed_a_reader_is_reported_and_not_opened_again(tmp_path, monkeypatch):
@@ -360,6 +360,6 @@ def test_a_file_that_killed_a_reader_is_reported_and_not_opened_again(tmp_path, 
         "lambent_capture.loading.inspect.picture_facts", lambda path: opened.append(path.name) or facts(path)
     )
     killer = "train_000/rgba_sunset.png"
-    report = inspect_capture(folder, skip={killer: "scene.image_too_large"})[0]
+    report = inspect_files(folder, skip={killer: "scene.image_too_large"}).report
     assert subject_of(report, "scene.image_too_large") == killer
     assert len(opened) == 8

@@ -1,4 +1,4 @@
-"""Where the light stands in every photograph, by what it stands still with."""
+"""The light's place in every photograph follows from what it stands still with."""
 
 import numpy as np
 import pytest

@@ -58,7 +58,7 @@ def test_what_is_marked_on_four_photographs_is_taken_away_from_all():
         (mask & block).sum() / max(block.sum(), 1)
         for mask, block in zip(preview_masks(work), capture.blocks, strict=True)
     ]
-    assert np.median(before) > 0.8  # It stands beside the ball and is found with it.
+    assert np.median(before) > 0.8  # It is next to the ball and is found with it.
     # Where it is well beside the ball: rows of 2 pixels, so that nothing else is marked.
     clear = [i for i, block in enumerate(capture.blocks) if block.sum() > 550][:4]
     marks = [

@@ -1,4 +1,4 @@
-"""`lambent masks` writes masks that the other commands take, by the estimate or by somebody's segmenter."""
+"""`lambent masks` writes masks that the other commands take, by the estimate or by a user's segmenter."""
 
 import json
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import typer
 from lambent_capture.layouts.detect import describe_scene
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.masks.folder import write_masks as write_masks_of
 from lambent_capture.masks.segmenter import find_segmenter
 from lambent_capture.pictures.mask_levels import read_mask
@@ -116,7 +116,7 @@ def test_each_damage_to_a_mask_is_one_finding_with_file_and_frame(tmp_path, code
     folder = tmp_path / "scene"
     masks = write_masks(folder / "cut", write_ball_photographs(folder))
     damage(masks / "train_r_5.png")
-    findings = inspect_capture(folder, masks=masks)[0].findings
+    findings = inspect_files(folder, masks=masks).report.findings
     (finding,) = (f for f in findings if f.severity == scene_pb2.SEVERITY_ERROR)
     assert finding.code == code
     assert "train_r_5" in finding.message

@@ -124,7 +124,7 @@ def test_networks_for_something_else_are_refused(name):
 @needs_rembg
 def test_a_file_that_is_no_network_is_refused(tmp_path):
     (tmp_path / "text.onnx").write_text("no network")
-    with pytest.raises(UsageError, match="no network that rembg can run"):
+    with pytest.raises(UsageError, match="not a network that rembg can run"):
         RembgSegmenter(option=str(tmp_path / "text.onnx"))([red_box(20)[0]])
     with pytest.raises(UsageError, match="there is no such file"):
         find_model(str(tmp_path / "gone.onnx"))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from lambent_capture.masks.consensus import MaskView
-from lambent_capture.masks.photograph import of_pictures
 from lambent_capture.masks.triangulate import TriangulateSettings, neighbours, triangulate
+from support.ball_on_table import of_pictures
 from support.textured_box import HALF, box_cameras, box_picture
 
 

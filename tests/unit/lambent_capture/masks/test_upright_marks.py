@@ -1,4 +1,4 @@
-"""What a person marks on an upright picture lands on the pixels that the file stores lying down."""
+"""A person's marks on an upright picture land on the pixels that the file stores lying down."""
 
 from types import SimpleNamespace
 

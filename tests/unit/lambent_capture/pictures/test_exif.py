@@ -1,4 +1,4 @@
-"""What a camera wrote is read where it is, and damaged or absent EXIF says nothing."""
+"""A camera's EXIF is read wherever it is, and damaged or absent EXIF says nothing."""
 
 import numpy as np
 import pytest

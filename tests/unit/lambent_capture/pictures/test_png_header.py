@@ -1,4 +1,4 @@
-"""What a PNG says before its pixels."""
+"""The chunks of a PNG before its pixels are understood."""
 
 import numpy as np
 import pytest

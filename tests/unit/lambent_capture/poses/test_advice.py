@@ -1,4 +1,4 @@
-"""What is said of found cameras names the photographs and what to do."""
+"""Advice on found cameras names the photographs and what to do."""
 
 import numpy as np
 import pytest
@@ -123,7 +123,7 @@ def test_pose_errors_forget_a_similarity_and_nothing_else():
     assert centre.max() < 1e-9
     moved[3, :3, 3] += 0.3 * 0.4
     assert pose_errors(moved, true)[1].argmax() == 3
-    # A reflection is no similarity that a camera can follow.
+    # A reflection is not a similarity that a camera can follow.
     true[::2, 2, 3] += 1.5
     true[::3, 0, 3] += 1.0
     mirrored = true * np.array([1.0, 1.0, -1.0, 1.0])[:, None]

@@ -7,7 +7,7 @@ from lambent_capture.poses.agreement import contradicted
 from lambent_capture.poses.database import as_stored
 from lambent_capture.poses.model import camera_poses, full_size_model, turn, widest_field_deg, write_model
 from lambent_capture.poses.shots import Shot
-from lambent_capture.poses.upright import z_up
+from lambent_capture.scenes.world import shortest_turn
 
 WORK_SIDE = 1024
 """Longer side of the synthetic pictures."""
@@ -85,10 +85,10 @@ def test_a_turned_world_turns_cameras_and_points_alike(solved):
     full = full_size_model(model, names, shots_of(model, 1.0, ()), WORK_SIDE)
     before, error = camera_poses(full), worst_error_px(full)
     up = np.array([0.6, -0.48, 0.64])
-    turn(full, z_up(up))
+    turn(full, shortest_turn(up))
     assert worst_error_px(full) == pytest.approx(error, abs=1e-6)
     for name, pose in camera_poses(full).items():
-        assert np.allclose(pose[:3, :3], z_up(up) @ before[name][:3, :3], atol=1e-9)
+        assert np.allclose(pose[:3, :3], shortest_turn(up) @ before[name][:3, :3], atol=1e-9)
 
 
 def test_a_camera_against_the_evidence_is_found_and_the_others_are_not_blamed(solved):

@@ -21,7 +21,7 @@ def seen(places, descriptors):
 
 
 def around(count, *, background, moving, step=60.0):
-    """Return features of `count` photographs: a background at one place, and points that go on by `step`."""
+    """Return features of `count` photographs: a still background, and points that move by `step`."""
     rng = np.random.default_rng(0)
     still, turning = unit(rng, background), unit(rng, moving)
     home, start = rng.uniform(0.0, SIDE, (background, 2)), rng.uniform(0.2 * SIDE, 0.4 * SIDE, (moving, 2))

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from lambent_capture.poses.upright import turned_upright, up_direction, z_up
+from lambent_capture.poses.upright import turned_upright, up_direction
+from lambent_capture.scenes.world import shortest_turn
 from scipy.spatial.transform import Rotation
 from support.captures import look_at
 
@@ -64,7 +65,7 @@ def test_turned_cameras_look_the_same_way_and_four_turns_are_none():
     assert np.allclose(-once[:, :3, 1], poses[:, :3, 0])
 
 
-def test_z_up_takes_up_to_z():
+def test_the_shortest_turn_takes_up_to_z():
     for up in np.vstack([np.eye(3), -np.eye(3), TURN.T]):
-        assert np.allclose(z_up(up) @ up, [0.0, 0.0, 1.0])
-        assert np.linalg.det(z_up(up)) == pytest.approx(1.0)
+        assert np.allclose(shortest_turn(up) @ up, [0.0, 0.0, 1.0])
+        assert np.linalg.det(shortest_turn(up)) == pytest.approx(1.0)

@@ -4,13 +4,25 @@ import numpy as np
 import pytest
 import support.bad_files
 import support.bad_photographs  # noqa: F401  # these two fill the list
-from lambent_capture.checks.photograph_findings import look_at_folder
+from lambent_capture.checks.photograph_findings import note_photographs
+from lambent_capture.checks.photograph_limits import PhotographLimits
+from lambent_capture.checks.photographs import PhotographsFigures, look
+from lambent_capture.layouts.picture_files import photographs_in
 from lambent_capture.problems import Problems
 from lambent_proto.v1 import scene_pb2
 from PIL import Image
 from support.bad_captures import CAPTURES
 from support.bad_views import NEED_CAMERAS, write_needing_cameras
 from support.photographs import view, write_views
+
+
+def look_at_folder(folder, problems) -> PhotographsFigures:
+    """Return the figures of all photographs below `folder`, after noting in `problems` what is wrong."""
+    names = photographs_in(folder, problems)
+    figures = look(folder, names if problems.usable else (), PhotographLimits())
+    if names and problems.usable:
+        note_photographs(figures, problems)
+    return figures
 
 
 def files_below(folder):
@@ -45,8 +57,8 @@ def test_a_sound_capture_has_no_finding_but_that_photographs_are_few(tmp_path):
     problems = Problems()
     figures = look_at_folder(tmp_path / "capture", problems)
     assert [finding.code for finding in problems.findings()] == ["scene.views_few"]
-    assert figures.num_different == 5
-    assert list(figures.lenses) == ["Camera One, 28mm F2, 28 mm, 192 x 144"]
+    assert len(figures.usable) == 5
+    assert not any(each.same_as for each in figures.usable)
 
 
 def test_folders_that_a_camera_makes_are_one_capture(tmp_path):

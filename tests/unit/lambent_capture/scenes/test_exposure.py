@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from lambent_capture.layouts.detect import describe_scene
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.loading.load import load_scene
 from lambent_capture.scenes.exposure import Exposure, exif_exposure, stated_exposure
 from PIL import Image
@@ -85,7 +85,7 @@ def test_photographs_without_exif_are_left_alone(tmp_path):
 def test_one_photograph_without_exif_leaves_all_alone_and_is_named(tmp_path):
     folder = camera_capture(tmp_path, [BASE, BASE, None, {**BASE, "iso": 400}])
     assert factors(folder) == [1.0] * 4
-    finding = next(f for f in inspect_capture(folder)[0].findings if f.code == "scene.exposure_incomplete")
+    finding = next(f for f in inspect_files(folder).report.findings if f.code == "scene.exposure_incomplete")
     assert finding.subject == "train_r_2"
 
 

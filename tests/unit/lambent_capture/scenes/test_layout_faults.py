@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lambent_capture.loading.inspect import inspect_capture, inspect_files
+from lambent_capture.loading.inspect import inspect_files
 from lambent_core.layouts import LAYOUTS
 from lambent_proto.v1 import scene_pb2
 from support.captures import save
@@ -19,7 +19,7 @@ def capture(request, tmp_path) -> LayoutFolder:
 
 
 def only_finding(capture: LayoutFolder) -> scene_pb2.Finding:
-    report = inspect_capture(capture.folder)[0]
+    report = inspect_files(capture.folder).report
     assert len(report.findings) == 1, [f"{f.code}: {f.message}" for f in report.findings]
     (finding,) = report.findings
     assert report.usable == (finding.severity == scene_pb2.SEVERITY_WARNING)
@@ -27,7 +27,7 @@ def only_finding(capture: LayoutFolder) -> scene_pb2.Finding:
 
 
 def test_a_sound_capture_has_no_findings(capture):
-    report = inspect_capture(capture.folder)[0]
+    report = inspect_files(capture.folder).report
     assert report.usable
     assert report.layout == capture.name
     assert [f"{f.code}: {f.message}" for f in report.findings] == []
@@ -107,7 +107,7 @@ def test_a_pose_without_numbers_is_an_error_that_names_its_frame(capture):
 
 def test_a_lens_without_focal_length_is_an_error(capture):
     capture.zero_focal()
-    report = inspect_capture(capture.folder)[0]
+    report = inspect_files(capture.folder).report
     assert not report.usable
     assert {f.code for f in report.findings} == {capture.zero_focal_code}
 

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 from lambent_capture.layouts.detect import describe_scene
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.loading.lights import select_lights
 from lambent_capture.loading.load import camera_of, load_scene
 from lambent_capture.scenes.world import world_matrix
@@ -128,7 +128,7 @@ def share_inside(camera, mask, points, axes=None):
 
 def test_a_sample_is_recognised_and_sound(sample):
     kind, folder = sample
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     layout, _, trained, tested = SAMPLES[kind]
     assert [f"{f.code}: {f.message}" for f in report.findings] == []
     assert (report.layout, report.num_train_frames, report.num_test_frames) == (layout, trained, tested)

@@ -5,7 +5,7 @@ import shutil
 import pytest
 from lambent_capture.checks.check import check_capture
 from lambent_capture.layouts.detect import describe_scene, detect_layout
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.scenes.links import files_below, leads_inside, link_out
 from support.captures import write_tensoir
 from support.layouts import BlenderFolder, ColmapBinaryFolder, NerfstudioFolder
@@ -60,7 +60,7 @@ def test_links_out_of_the_capture_are_refused_by_name(tmp_path, layout, what):
         files = [*capture.folder.glob("*.json"), *capture.folder.glob("sparse/0/cameras.bin")]
         named = files[0]
         move(named, outside / named.name)
-    for report in (inspect_capture(capture.folder)[0], check_capture(capture.folder).report):
+    for report in (inspect_files(capture.folder).report, check_capture(capture.folder).report):
         assert codes(report) == {"scene.file_linked"}
         assert report.findings[0].subject == named.relative_to(capture.folder).as_posix()
 

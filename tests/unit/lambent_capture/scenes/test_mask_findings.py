@@ -1,7 +1,7 @@
-"""What the check says of masks that are written unusually, and of photographs stored as mirror images."""
+"""The check's findings about masks that are written unusually, and of photographs stored as mirror images."""
 
 import numpy as np
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_proto.v1 import scene_pb2
 from PIL import Image
 from support.captures import read_transforms, save, write_blender, write_transforms
@@ -30,7 +30,7 @@ def with_masks(folder, *levels):
     transforms["frames"] = transforms["frames"][: len(levels)]
     write_transforms(folder, "train", transforms)
     (folder / "transforms_test.json").unlink()
-    return inspect_capture(folder, masks=folder / "cut")[0]
+    return inspect_files(folder, masks=folder / "cut").report
 
 
 def test_masks_of_0_and_1_are_as_good_as_any(tmp_path):
@@ -59,6 +59,6 @@ def test_mirror_images_beside_given_cameras_are_refused(tmp_path):
     image = Image.open(tmp_path / "train" / "r_1.png")
     image.load()
     image.save(tmp_path / "train" / "r_1.png", exif=exif)
-    report = inspect_capture(tmp_path)[0]
+    report = inspect_files(tmp_path).report
     assert codes(report) == ["scene.mirrored"]
     assert subject_of(report, "scene.mirrored") == "train/r_1.png"

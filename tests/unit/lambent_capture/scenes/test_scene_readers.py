@@ -223,20 +223,20 @@ def test_a_light_that_most_views_lack_is_a_stray_picture_and_no_light(tmp_path):
 
 
 def test_radiance_that_the_renderer_left_beside_the_pictures_is_no_stray_picture():
-    from lambent_capture.loading.inspect import inspect_capture
+    from lambent_capture.loading.inspect import inspect_files
 
-    assert not inspect_capture(SCENES / "tensoir_synthetic")[0].findings
+    assert not inspect_files(SCENES / "tensoir_synthetic").report.findings
 
 
 def test_validation_pictures_beside_a_test_split_are_no_stray_pictures(tmp_path):
-    from lambent_capture.loading.inspect import inspect_capture
+    from lambent_capture.loading.inspect import inspect_files
 
     folder = write_blender(tmp_path, num_train=9)
     transforms = read_transforms(folder, "test")
     save(folder / "test" / "v_0.png", photograph(77))
     transforms["frames"] = [{**transforms["frames"][0], "file_path": "./test/v_0"}]
     write_transforms(folder, "val", transforms)
-    assert not inspect_capture(folder)[0].findings
+    assert not inspect_files(folder).report.findings
 
 
 def test_frames_that_end_in_one_name_are_told_apart_or_refused(tmp_path):

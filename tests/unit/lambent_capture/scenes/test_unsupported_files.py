@@ -1,7 +1,7 @@
 """Files that a capture must not hold are named and never loaded."""
 
 import pytest
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_proto.v1 import scene_pb2
 from support.captures import (
     write_blender,
@@ -37,7 +37,7 @@ def test_files_that_could_run_are_named_and_never_opened_for_use(tmp_path, name,
     folder = write_tensoir(tmp_path)
     (folder / "extra").mkdir()
     (folder / "extra" / name).write_bytes(content)
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert report.usable
     assert warnings_of(report) == ["scene.unsupported_file"]
     assert subject_of(report, "scene.unsupported_file") == f"extra/{name}"
@@ -48,6 +48,6 @@ def test_a_pickle_in_place_of_a_picture_is_refused_without_being_loaded(tmp_path
     trap = tmp_path / "loaded"
     payload = b"\x80\x04cos\nsystem\n(V" + f"touch {trap}".encode() + b"\ntR."
     (folder / "train" / "r_0.png").write_bytes(payload)
-    report = inspect_capture(folder)[0]
+    report = inspect_files(folder).report
     assert warnings_of(report) == ["scene.pictures_left_out", "scene.unsupported_file"]
     assert not trap.exists()

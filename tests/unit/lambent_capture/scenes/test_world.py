@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from lambent_capture.layouts.detect import collect_scene, describe_scene
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.loading.load import load_scene
 from lambent_capture.problems import Problems
 from lambent_capture.scenes.extent import set_fitted_box
@@ -98,7 +98,7 @@ def tilted(folder, rotation):
 def test_a_model_that_lies_on_its_side_is_stood_up(tmp_path, seed):
     rotation = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     capture = tilted(tmp_path / "scene", rotation)
-    report = inspect_capture(capture.folder)[0]
+    report = inspect_files(capture.folder).report
     assert not report.findings
     turned, _ = rotation_and_scale(world_matrix(describe_scene(capture.folder)))
     np.testing.assert_allclose(turned @ rotation @ [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], atol=1e-6)
@@ -185,7 +185,7 @@ def test_map_coordinates_are_moved_to_the_origin_before_anything_is_measured(tmp
     near = describe_scene(layout(tmp_path / "near").folder)
     utm = np.array([432_100.0, 5_412_345.0, 310.0])
     far = describe_scene(layout(tmp_path / "far", offset=utm).folder)
-    assert not [each.message for each in inspect_capture(tmp_path / "far")[0].findings]
+    assert not [each.message for each in inspect_files(tmp_path / "far").report.findings]
     np.testing.assert_allclose(far.bounds.minimum, -np.array(far.bounds.maximum), atol=1e-6)
     ours, theirs = world_matrix(far), world_matrix(near)
     np.testing.assert_allclose(
@@ -200,6 +200,6 @@ def test_a_camera_far_away_from_all_others_is_named(tmp_path):
     pose = capture.poses[3].copy()
     pose[:3, 3] += 3e6
     capture.set_pose(3, pose)
-    report = inspect_capture(capture.folder)[0]
+    report = inspect_files(capture.folder).report
     assert [each.code for each in report.findings] == ["scene.camera_not_finite"]
     assert "frame_00003" in report.findings[0].message

@@ -10,7 +10,7 @@ import pytest
 from flashcache.errors import ConfigError, ProcessEndedError, TrainingError
 from lambent_capture.checks import check
 from lambent_capture.checks.check_result import CaptureCheck
-from lambent_capture.loading.inspect import inspect_capture
+from lambent_capture.loading.inspect import inspect_files
 from lambent_core.errors import IncompleteError, InputDamagedError, SceneRefusedError, UsageError
 from lambent_core.files import file_sha256
 from lambent_proto.v1 import job_pb2, scene_pb2, worker_pb2
@@ -290,7 +290,7 @@ def test_a_job_looks_at_a_capture_once_in_one_way_and_tells_every_finding_once(
 
     def look(folder: Path, *how: object) -> CaptureCheck:
         asked.append(how)
-        return CaptureCheck(report=inspect_capture(folder)[0])
+        return CaptureCheck(report=inspect_files(folder).report)
 
     monkeypatch.setattr(check, "check_capture", look)
     monkeypatch.setattr(ingest, "check_capture", look)
