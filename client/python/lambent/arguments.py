@@ -64,12 +64,12 @@ def whole(value: object, name: str, least: int | None = None) -> int:
     try:
         if isinstance(value, bool):
             raise TypeError
-        found = operator.index(value)  # type: ignore[arg-type]
+        number = operator.index(value)  # type: ignore[arg-type]
     except TypeError as error:
         raise _refused(name, value, advice) from error
-    if least is not None and found < least:
+    if least is not None and number < least:
         raise _refused(name, value, advice)
-    return found
+    return number
 
 
 def seconds(value: object, name: str) -> float:

@@ -1,4 +1,4 @@
-"""What a client asks a server about batches of pictures."""
+"""The calls of a client about batches of pictures."""
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -75,7 +75,7 @@ class BatchCalls:
     def fetch_batch(self, batch_id: str, target: str | Path) -> list[Path]:
         """Write the pictures, the table and the contact sheets of a batch into the folder `target`.
 
-        Returns their paths. Files that are there with the same bytes are kept. The table and the sheets come
+        Returns their paths. Files that exist with the same bytes are kept. The table and the sheets come
         last: a batch that has not ended has none yet.
         """
         files = pictures.for_people(self.batch_artifacts(batch_id))

@@ -85,7 +85,7 @@ def plan_on_server(
 ) -> tuple[Plan, tuple[Path, ...]]:
     """Return the pictures that a server would make of a manifest, and the maps to send; nothing is sent.
 
-    Of bundles only manifest and cameras are fetched. Raises `batch.bundle_here` for an asset that is no
+    Of bundles only manifest and cameras are fetched. Raises `batch.bundle_here` for an asset that is not a
     bundle of a server, as the order itself does, and `batch.map_unknown` for a map that is not there.
     """
     known = client.environments()

@@ -15,7 +15,7 @@ from lambent.batch_inputs import bundle_here
 def order_of(manifest: Manifest, environment_ids: Mapping[Path, str]) -> dict[str, Any]:
     """Return the body of `POST /v1/batches` for a manifest; `environment_ids` names its maps on the server.
 
-    Raises `batch.bundle_here` for an asset that is no bundle of a server. Files of cameras are sent along.
+    Raises `batch.bundle_here` for an asset that is not a bundle of a server. Files of cameras are sent along.
     """
     for asset in manifest.assets:
         if not asset.bundle_id:

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, Unpack
 
 import httpx2
 
@@ -13,6 +13,7 @@ from lambent import fetch as fetching
 from lambent.batch_calls import BatchCalls
 from lambent.connection import Connection, TransferProgress, ignore_progress
 from lambent.errors import JobNotSucceededError, UsageProblemError
+from lambent.job_order import JobOrder, order_body
 from lambent.models import Artifact, Environment, Event, Job, Scene, SceneReport, Share
 from lambent.settings import find_server
 from lambent.waiting import ANSWER_S
@@ -130,42 +131,14 @@ class Client(BatchCalls):
         if kind not in DELETABLE:
             raise UsageProblemError(
                 "client.unknown_id",
-                f"{identifier!r} is no id of a {', '.join(DELETABLE)}",
+                f"{identifier!r} is not an id of a {', '.join(DELETABLE)}",
                 "take the id as the server gives it",
             )
         self._connection.send("DELETE", f"/v1/{DELETABLE[kind]}/{identifier}")
 
-    def submit(
-        self,
-        scene_id: str,
-        *,
-        preset: str = "fast",
-        params: Mapping[str, str] | None = None,
-        seed: int = 0,
-        kind: str = "train",
-        gpus: int | None = None,
-        priority: int = 0,
-        labels: Mapping[str, str] | None = None,
-        webhook: str = "",
-        idempotency_key: str = "",
-    ) -> Job:
-        """Queue a job and return it; the same `idempotency_key` never makes a second one.
-
-        `params` are settings over the preset, such as {"stage_one.num_rays": "512"}. `gpus` None leaves
-        the number to the preset. Kind "prepare" finds cameras and masks only, "check" looks at the capture.
-        `webhook` is where the server tells that the job has ended (see `Client.webhooks`).
-        """
-        body = {
-            "scene_id": arguments.identifier(scene_id, "scene_id"),
-            "preset": arguments.text(preset, "preset"),
-            "params": arguments.texts(params, "params"),
-            "seed": arguments.whole(seed, "seed", 0),
-            "kind": arguments.text(kind, "kind"),
-            **({} if gpus is None else {"gpus": arguments.whole(gpus, "gpus", 0)}),
-            "priority": arguments.whole(priority, "priority"),
-            "labels": arguments.texts(labels, "labels"),
-            **({"webhook": arguments.text(webhook, "webhook")} if webhook else {}),
-        }
+    def submit(self, scene_id: str, *, idempotency_key: str = "", **order: Unpack[JobOrder]) -> Job:
+        """Queue a job and return it; the same `idempotency_key` never makes a second one."""
+        body = {"scene_id": arguments.identifier(scene_id, "scene_id"), **order_body(order)}
         return Job.from_json(pictures.post(self._connection, "/v1/jobs", body, idempotency_key))
 
     def jobs(
@@ -245,9 +218,9 @@ class Client(BatchCalls):
     ) -> Iterator[Event | Job]:
         """Yield jobs and events until every job is final (see `lambent.watch.Watcher` for the promises).
 
-        `after` gives the last event number already seen per job; without it events are told from now on. A
-        stream that is silent for `silence_s` is opened anew, a server that is away for `patience_s` is given
-        up, and where no stream comes through events are asked for every `poll_s`.
+        `after` gives the last event number already seen per job; without it, events from now on come. A
+        stream that is silent for `silence_s` is opened anew, a server that is unavailable for `patience_s` is
+        given up, and where no stream comes through events are asked for every `poll_s`.
         """
         watcher = Watcher(
             connection=self._connection,

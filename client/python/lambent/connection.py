@@ -58,7 +58,7 @@ class Connection:
             headers=headers,
             timeout=httpx2.Timeout(READ_TIMEOUT_S, connect=5.0),
             transport=transport,
-            # A proxy from the environment must not be asked for this machine's own server.
+            # A proxy from the environment must not carry calls to this machine's own server.
             trust_env=not address.is_loopback,
         )
 

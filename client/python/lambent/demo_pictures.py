@@ -195,7 +195,7 @@ def _score(
             for r in rendered
         ]
         value = float(
-            np.mean([truth.rmse(found.astype(np.float64), true, mask) for found, true, mask in pairs])
+            np.mean([truth.rmse(made.astype(np.float64), true, mask) for made, true, mask in pairs])
         )
         floor = float(
             np.mean([truth.rmse(np.full_like(true, trivial), true, mask) for _, true, mask in pairs])

@@ -16,7 +16,7 @@ from lambent.errors import (
 )
 
 BATCH = 50
-"""Files for which addresses are asked at a time: they are valid for a while only."""
+"""Files whose addresses are requested at a time: they are valid for a while only."""
 PATIENCE_S = 300.0
 """How long a server or a store that does not answer is waited for."""
 MAX_TRIES = 5
@@ -38,14 +38,14 @@ class LocalFile:
 
 
 def is_away(error: LambentError) -> bool:
-    """Return whether an error says that the server, or its store, is away for now."""
+    """Return whether an error says that the server, or its store, is unavailable for now."""
     if isinstance(error, ServerFaultError):
         return error.status in (502, 503, 504)
     return isinstance(error, UnreachableError)
 
 
 def is_store_away(error: LambentError) -> bool:
-    """Return whether an error says that the store of a server is away that is there itself."""
+    """Return whether an error says that a server answers, but its store is unavailable."""
     return error.code == "store_unavailable"
 
 
@@ -118,7 +118,7 @@ class DirectSender:
         return {str(offer["sha256"]): offer for offer in answer["items"]}
 
     def _patiently(self, what: str, body: Mapping[str, Any]) -> Any:
-        """Return the answer of the server; waits while it, or its store, is away."""
+        """Return the answer of the server; waits while it, or its store, is unavailable."""
 
         def ask() -> Any:
             return self._connection.json("POST", f"{self._path}/files:{what}", json=body, repeatable=True)

@@ -112,7 +112,7 @@ def peek(connection: Connection, bundle_id: str, target: Path) -> Path:
 
 
 def download(connection: Connection, artifact: Artifact, target: Path) -> Path:
-    """Write an artifact to `target` and return it: verified, whole, resumed, and kept where it is there.
+    """Write an artifact to `target` and return it: verified, whole, resumed, and kept if it exists.
 
     Raises `fetch.digest_mismatch` when bytes differ from what was announced twice in a row.
     """

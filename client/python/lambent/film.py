@@ -38,7 +38,7 @@ def check_film(path: Path, crf: int | None) -> None:
     `cli.missing_extra` without the package imageio-ffmpeg, and `film.no_ffmpeg` without the program.
     """
     if path.suffix not in SUFFIXES:
-        raise UsageProblemError("film.format", f"{path.name} is no film", f"use {' or '.join(SUFFIXES)}")
+        raise UsageProblemError("film.format", f"{path.name} is not a film", f"use {' or '.join(SUFFIXES)}")
     if crf is not None and not 0 <= crf <= MAX_CRF[path.suffix]:
         raise UsageProblemError(
             "film.quality", f"rate factor {crf}", f"use 0 to {MAX_CRF[path.suffix]}; lower is better"

@@ -84,7 +84,7 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
     """End the server and everything it started; a second Ctrl-C only shortens the wait."""
     import psutil
 
-    # Run processes have sessions of their own: they are known by their parent, as long as that is there.
+    # Run processes have sessions of their own: they are known by their parent while it lives.
     with contextlib.suppress(psutil.NoSuchProcess):
         started = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
         process.send_signal(signal.SIGINT)

@@ -1,4 +1,4 @@
-"""Whether a bundle is whole, and where it is from: its files, the signed statement beside it, the key.
+"""Proof that a bundle is whole, and where it is from: its files, the signed statement beside it, the key.
 
 Works without a server. The statement is not inside the bundle, because every reader refuses files that its
 manifest does not list: it is `NAME.relight.provenance.json` beside `NAME.relight`.
@@ -52,7 +52,7 @@ class Verified:
 
 def beside(bundle: Path) -> Path:
     """Return where the statement of a bundle is."""
-    # "." and ".." are no names of a folder.
+    # "." and ".." do not name a folder.
     named = bundle.resolve() if bundle.name in ("", "..") else bundle
     return named.with_name(named.name + SUFFIX)
 
@@ -125,9 +125,9 @@ def _read_envelope(path: Path) -> dict[str, Any]:
         raise _tampered(f"{path} is above {_MAX_STATEMENT_BYTES} bytes")
     try:
         envelope = json.loads(text)
-        return envelope if isinstance(envelope, dict) else _raise(f"{path} is no envelope")
+        return envelope if isinstance(envelope, dict) else _raise(f"{path} is not an envelope")
     except (ValueError, RecursionError) as error:
-        raise _tampered(f"{path} is no JSON: {error}") from error
+        raise _tampered(f"{path} is not JSON: {error}") from error
 
 
 def _raise(message: str) -> Any:
@@ -154,7 +154,7 @@ def _read_key(path: Path) -> Any:
 def _check_signature(envelope: dict[str, Any], trusted: Any) -> tuple[bytes, str]:
     """Return the payload and the name of the key that has signed it.
 
-    That is the trusted one; without one, the one in the envelope, with which anybody may have signed.
+    That is the trusted one; without one, the one in the envelope, with which anyone may have signed.
     """
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
@@ -197,14 +197,14 @@ def _key_id(key: Any) -> str:
 
 def _statement(payload: bytes) -> dict[str, Any]:
     try:
-        found = json.loads(payload)
+        statement = json.loads(payload)
     except (ValueError, RecursionError) as error:
-        raise _tampered(f"the statement is no JSON: {error}") from error
-    if not isinstance(found, dict) or found.get("_type") != _STATEMENT_TYPE:
-        raise _tampered("the payload is no in-toto statement")
-    if found.get("predicateType") != _PREDICATE_TYPE:
-        raise _tampered(f"the statement is about {found.get('predicateType')!r}")
-    return found
+        raise _tampered(f"the statement is not JSON: {error}") from error
+    if not isinstance(statement, dict) or statement.get("_type") != _STATEMENT_TYPE:
+        raise _tampered("the payload is not an in-toto statement")
+    if statement.get("predicateType") != _PREDICATE_TYPE:
+        raise _tampered(f"the statement is about {statement.get('predicateType')!r}")
+    return statement
 
 
 def _check_subjects(statement: dict[str, Any], hashes: dict[str, str]) -> None:

@@ -1,4 +1,4 @@
-"""Which server to talk to, and with which key."""
+"""The server to talk to, and its key."""
 
 import json
 import os

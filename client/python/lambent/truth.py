@@ -86,38 +86,38 @@ def blend_normals(normal: Picture, alpha: Picture) -> Picture:
     return unit
 
 
-def psnr(found: Picture, true: Picture) -> float:
+def psnr(picture: Picture, true: Picture) -> float:
     """Return the peak signal-to-noise ratio in dB for values in [0, 1]; 100 dB for equal pictures."""
-    return float(-10.0 * np.log10(max(float(np.mean((found - true) ** 2)), 1e-10)))
+    return float(-10.0 * np.log10(max(float(np.mean((picture - true) ** 2)), 1e-10)))
 
 
-def albedo_ratio(found: list[Picture], views: list[TrueView]) -> Picture:
+def albedo_ratio(albedos: list[Picture], views: list[TrueView]) -> Picture:
     """Return one factor per channel, [3]: the median of truth / prediction over covered pixels of all views.
 
     Predictions [H, W, 3] are linear and over white, like the truth.
     """
     ratios = [
         view.albedo[view.mask] / np.maximum(albedo[view.mask], 1e-6)
-        for albedo, view in zip(found, views, strict=True)
+        for albedo, view in zip(albedos, views, strict=True)
     ]
     return np.median(np.concatenate(ratios), axis=0)
 
 
-def albedo_psnr(found: list[Picture], ratio: Picture, views: list[TrueView]) -> float:
+def albedo_psnr(albedos: list[Picture], ratio: Picture, views: list[TrueView]) -> float:
     """Return the PSNR in dB of scaled albedo over all views, after ^(1/2.2), white outside the mask."""
     scaled = [
         np.where(view.mask[..., None], np.clip(ratio * albedo, 0.0, 1.0), 1.0)
-        for albedo, view in zip(found, views, strict=True)
+        for albedo, view in zip(albedos, views, strict=True)
     ]
     return psnr(np.stack(scaled) ** (1.0 / 2.2), np.stack([view.albedo for view in views]) ** (1.0 / 2.2))
 
 
-def normal_error_deg(found: Picture, view: TrueView) -> float:
+def normal_error_deg(normal: Picture, view: TrueView) -> float:
     """Return the mean angle between unit normals inside the mask, in degrees."""
-    cosine = np.clip((found * view.normal).sum(axis=-1), -1.0, 1.0)
+    cosine = np.clip((normal * view.normal).sum(axis=-1), -1.0, 1.0)
     return float(np.degrees(np.arccos(cosine))[view.mask].mean())
 
 
-def rmse(found: Picture, true: Picture, mask: NDArray[np.bool_]) -> float:
+def rmse(estimate: Picture, true: Picture, mask: NDArray[np.bool_]) -> float:
     """Return the root mean square difference of two maps [H, W] inside the mask."""
-    return float(np.sqrt(np.mean((found - true)[mask] ** 2)))
+    return float(np.sqrt(np.mean((estimate - true)[mask] ** 2)))

@@ -35,19 +35,19 @@ class Wait(Generic[T]):
         """Return the final state.
 
         Raises WaitTimeoutError (`client.wait_timeout`), after which the server continues its work, and
-        UnreachableError when the server has been away for `PATIENCE_S`.
+        UnreachableError when the server has been unavailable for `PATIENCE_S`.
         """
         began = last_contact = self.clock()
-        found: T | None = None
+        known: T | None = None
         while True:
             asked = self.clock()
             left_s = self._left_s(asked - began)
             try:
                 newest = self.read(min(left_s, LONG_S if self.progress is None else SHORT_S))
                 last_contact = self.clock()
-                if self.progress is not None and newest != found:
+                if self.progress is not None and newest != known:
                     self.progress(newest)
-                found = newest
+                known = newest
                 if newest.is_final:
                     return newest
             except (UnreachableError, ServerFaultError):
@@ -56,7 +56,7 @@ class Wait(Generic[T]):
             now = self.clock()
             left_s = self._left_s(now - began)
             if left_s <= 0.0:
-                raise _timed_out(found, self.timeout_s)
+                raise _timed_out(known, self.timeout_s)
             # Not all servers and proxies take their time.
             self.sleep(min(max(SHORT_S - (now - asked), 0.0), left_s))
 
@@ -64,16 +64,16 @@ class Wait(Generic[T]):
         return LONG_S if self.timeout_s is None else self.timeout_s - passed_s
 
 
-def _timed_out(found: Job | Batch | None, timeout_s: float | None) -> WaitTimeoutError:
+def _timed_out(last: Job | Batch | None, timeout_s: float | None) -> WaitTimeoutError:
     """Return the error of a wait whose time is over."""
-    if found is None:
+    if last is None:
         return WaitTimeoutError(
             "client.wait_timeout",
             f"the server did not answer for {timeout_s:g} s",
             "check it with `lambent doctor`, and wait again",
         )
-    kind = "job" if isinstance(found, Job) else "batch"
-    shown = f"{kind} {found.id} is {found.state} after {timeout_s:g} s"
-    if isinstance(found, Job) and found.progress.stage:
-        shown += f" ({found.progress.stage}, {found.progress.fraction:.0%})"
+    kind = "job" if isinstance(last, Job) else "batch"
+    shown = f"{kind} {last.id} is {last.state} after {timeout_s:g} s"
+    if isinstance(last, Job) and last.progress.stage:
+        shown += f" ({last.progress.stage}, {last.progress.fraction:.0%})"
     return WaitTimeoutError("client.wait_timeout", shown, "it has not been stopped: wait again, or cancel it")

@@ -15,7 +15,7 @@ SILENCE_S = 45.0
 """A stream without a byte for this long is dead: the server sends a comment every 15 s."""
 
 PATIENCE_S = 600.0
-"""How long a server may be away before watching gives up."""
+"""How long a server may be unavailable before watching gives up."""
 
 POLL_S = 1.0
 
@@ -73,7 +73,7 @@ class Watcher:
     def _settle(self, job_id: str, only_final: bool = False) -> Iterator[Job]:
         """Ask for the job itself, which alone says whether it is final."""
         job = Job.from_json(self.connection.json("GET", f"/v1/jobs/{job_id}"))
-        # Where nothing was seen yet, events are told from now on.
+        # Where nothing was seen yet, events are reported from now on.
         self._seen.setdefault(job_id, job.last_event)
         if job.is_final:
             self._open.pop(job_id, None)

@@ -1,4 +1,4 @@
-"""What a client asks a server about webhooks; receivers use `lambent.webhooks`."""
+"""The calls of a client about webhooks; receivers use `lambent.webhooks`."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
@@ -31,7 +31,7 @@ class WebhookCalls:
         """Subscribe and return the subscription with its `secret`.
 
         `events` are such as "job.failed"; without any, the ends of jobs. With `labels` only jobs that have
-        all of them are told.
+        all of them are reported.
         """
         body: dict[str, Any] = {"url": arguments.text(url, "url"), "name": arguments.text(name, "name")}
         if events:

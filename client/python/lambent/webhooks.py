@@ -69,15 +69,15 @@ def _key(secret: str) -> bytes:
 
 def _signatures(header: str) -> list[bytes]:
     """Return the symmetric signatures of a header; those of other versions are left out."""
-    found = []
+    decoded = []
     for word in header.split()[:16]:
         version, comma, text = word.partition(",")
         if version == "v1" and comma:
             try:
-                found.append(base64.b64decode(text, validate=True))
+                decoded.append(base64.b64decode(text, validate=True))
             except (binascii.Error, ValueError):
                 continue
-    return found
+    return decoded
 
 
 def _refused(code: str, message: str) -> WebhookVerificationError:

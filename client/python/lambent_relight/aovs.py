@@ -90,14 +90,14 @@ def as_written_now(
     The Z of old files becomes distance.V; they have no planar depth, and the result has no Z then. Their
     albedo is not multiplied by coverage.
     """
-    found = dict(channels)
+    current = dict(channels)
     if "lambent:premultiplied" not in attributes:
         # Without the mask, alpha, which is the coverage of a picture without background.
-        coverage = found.get("CryptoObject00.G", found.get("A"))
+        coverage = current.get("CryptoObject00.G", current.get("A"))
         for name in ("albedo.R", "albedo.G", "albedo.B"):
-            if name in found and coverage is not None:
-                found[name] = (found[name] * coverage).astype(found[name].dtype)
-    if attributes.get("lambent:depth") == _OLD_DEPTH and "Z" in found:
-        distance = found.pop("Z")
-        found["distance.V"] = np.where(distance <= 0.0, np.float32(EMPTY_DEPTH), distance)
-    return found
+            if name in current and coverage is not None:
+                current[name] = (current[name] * coverage).astype(current[name].dtype)
+    if attributes.get("lambent:depth") == _OLD_DEPTH and "Z" in current:
+        distance = current.pop("Z")
+        current["distance.V"] = np.where(distance <= 0.0, np.float32(EMPTY_DEPTH), distance)
+    return current

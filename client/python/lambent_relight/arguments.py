@@ -24,7 +24,7 @@ Refusal = Callable[[str, str], RelightError]
 
 def refusal(code: str = "relight.argument", kind: type[RelightError] = SettingError) -> Refusal:
     """Return what makes errors of a kind with a code."""
-    return lambda found, advice: kind(code, found, advice)
+    return lambda what, advice: kind(code, what, advice)
 
 
 def instance(
@@ -32,14 +32,16 @@ def instance(
 ) -> Kind:
     """Return `value`, which has to be of a class; `advice` says how to get one."""
     if not isinstance(value, kind):
-        raise (refuse or refusal())(f"{name} is no {kind.__name__} but {_described(value)}", advice)
+        raise (refuse or refusal())(f"{name} is not a {kind.__name__} but {_described(value)}", advice)
     return value
 
 
 def file_path(value: object, name: str, *, refuse: Refusal | None = None) -> Path:
     """Return the path that a string or a path object names."""
     if not isinstance(value, (str, os.PathLike)) or isinstance(os.fspath(value), bytes):
-        raise (refuse or refusal())(f"{name} is no path but {_described(value)}", "give a string or a Path")
+        raise (refuse or refusal())(
+            f"{name} is not a path but {_described(value)}", "give a string or a Path"
+        )
     return Path(value)
 
 
@@ -54,16 +56,16 @@ def number(
     """Return a finite number between two exclusive bounds."""
     refuse = refuse or refusal()
     if isinstance(value, (bool, np.bool_, str, bytes)) or not is_single(value):
-        raise refuse(f"{name} is no number but {_described(value)}", "give one number")
+        raise refuse(f"{name} is not a number but {_described(value)}", "give one number")
     try:
-        found = float(value)  # type: ignore[arg-type]
+        result = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError) as error:
-        raise refuse(f"{name} is no number but {_described(value)}", "give one number") from error
-    if not (math.isfinite(found) and above < found < below):
+        raise refuse(f"{name} is not a number but {_described(value)}", "give one number") from error
+    if not (math.isfinite(result) and above < result < below):
         bounds = [f"above {above:g}"] if above > -math.inf else []
         bounds += [f"below {below:g}"] if below < math.inf else []
-        raise refuse(f"{name} is {found:g}", f"give a finite number {' and '.join(bounds)}".strip())
-    return found
+        raise refuse(f"{name} is {result:g}", f"give a finite number {' and '.join(bounds)}".strip())
+    return result
 
 
 def whole(
@@ -75,12 +77,14 @@ def whole(
     try:
         if isinstance(value, (bool, np.bool_)):
             raise TypeError
-        found = operator.index(value)  # type: ignore[arg-type]
+        result = operator.index(value)  # type: ignore[arg-type]
     except TypeError as error:
-        raise (refuse or refusal())(f"{name} is no whole number but {_described(value)}", advice) from error
-    if found < least or (most is not None and found > most):
-        raise (refuse or refusal())(f"{name} is {found}", advice)
-    return found
+        raise (refuse or refusal())(
+            f"{name} is not a whole number but {_described(value)}", advice
+        ) from error
+    if result < least or (most is not None and result > most):
+        raise (refuse or refusal())(f"{name} is {result}", advice)
+    return result
 
 
 def is_single(value: object) -> bool:
@@ -108,17 +112,17 @@ def array(
     words = "[" + ", ".join("n" if size is None else str(size) for size in shape) + "]"
     advice = f"give finite numbers of shape {words}"
     try:
-        found = np.array(value, np.float64)
+        result = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise refuse(f"{name} is no array of numbers but {_described(value)}", advice) from error
-    fits = len(found.shape) == len(shape) and all(
-        size in (None, given) for size, given in zip(shape, found.shape, strict=True)
+        raise refuse(f"{name} is not an array of numbers but {_described(value)}", advice) from error
+    fits = len(result.shape) == len(shape) and all(
+        size in (None, given) for size, given in zip(shape, result.shape, strict=True)
     )
     if not fits:
-        raise refuse(f"{name} has shape {list(found.shape)}", advice)
-    if not np.isfinite(found).all():
+        raise refuse(f"{name} has shape {list(result.shape)}", advice)
+    if not np.isfinite(result).all():
         raise refuse(f"{name} holds NaN or infinite values", advice)
-    return found
+    return result
 
 
 def _described(value: Any) -> str:

@@ -6,7 +6,7 @@ coordinates, row 0 at the top. The world is right-handed with z up.
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -112,10 +112,38 @@ class Camera:
             centre_y=self.centre_y * scale_y,
         )
 
+    def finer(self, factor: int) -> "Camera":
+        """Return the same view with `factor` x `factor` pixels for each."""
+        return self.resized(self.width * factor, self.height * factor)
+
     def key(self) -> bytes:
         """Return a value that is equal for cameras that see the same rays."""
         numbers = (self.width, self.height, self.focal_x, self.focal_y, self.centre_x, self.centre_y)
         return np.array(numbers, np.float64).tobytes() + np.ascontiguousarray(self.camera_to_world).tobytes()
+
+    def exr_attributes(self) -> Mapping[str, NDArray[np.float32]]:
+        """Return `worldToCamera` and `worldToNDC` [4, 4], the camera as attributes of an EXR file.
+
+        Frames are those of OpenEXR's standard attributes, which are Renderman's: points are row vectors
+        before a matrix; camera space is left-handed, x right, y up, z forward; NDC is (0, 0) in the upper
+        left corner of the picture and (1, 1) in the lower right one. A world point (x, y, z, 1) times
+        worldToNDC, divided by its last number, which is the depth along the axis, begins with the place in
+        the picture.
+        """
+        to_camera = np.diag([1.0, 1.0, -1.0, 1.0]) @ np.linalg.inv(self.camera_to_world)
+        # Rows of the picture go down. The third row keeps the matrix invertible: depth 1 becomes 0.
+        to_ndc = np.array(
+            [
+                [self.focal_x / self.width, 0.0, self.centre_x / self.width, 0.0],
+                [0.0, -self.focal_y / self.height, self.centre_y / self.height, 0.0],
+                [0.0, 0.0, 1.0, -1.0],
+                [0.0, 0.0, 1.0, 0.0],
+            ]
+        )
+        return {
+            "worldToCamera": np.ascontiguousarray(to_camera.T, np.float32),
+            "worldToNDC": np.ascontiguousarray((to_ndc @ to_camera).T, np.float32),
+        }
 
 
 NOT_RIGID_ADVICE = "remove scale and mirroring; axes are x right, y up, looking along -z"
@@ -196,7 +224,7 @@ def turntable(
 ) -> list[Camera]:
     """Return `num_views` cameras evenly around the z axis through `target`, at `radius` scene units from it.
 
-    View k stands at azimuth `start_deg` + k 360 / `num_views` (0 = +x, growing towards +y) and looks at
+    View k is at azimuth `start_deg` + k 360 / `num_views` (0 = +x, growing towards +y) and looks at
     `target`. `field_of_view_deg` is horizontal.
     """
     num_views = whole(num_views, "num_views", 1, _MAX_CAMERAS, refuse=refusal("camera.count", CameraError))

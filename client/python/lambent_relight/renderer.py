@@ -22,7 +22,6 @@ from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.bundle.adapted import choose
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import NoCaches, OnnxCaches, SurfaceCaches
-from lambent_relight.camera_matrices import camera_attributes
 from lambent_relight.cameras import Camera
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.light_sampling import LightSampler
@@ -104,9 +103,7 @@ class Renderer:
         """Return a view with the detail of the mesh's textures, where the bundle has it."""
         if self._detail is None:
             return view
-        camera = view.camera
-        fine = camera.resized(camera.width * antialias, camera.height * antialias)
-        return replace(view, hits=self._detail.applied(view.hits, fine, view.ray))
+        return replace(view, hits=self._detail.applied(view.hits, view.camera.finer(antialias), view.ray))
 
     @functools.cached_property
     def _detail(self) -> "SurfaceDetail | None":
@@ -246,9 +243,9 @@ class Renderer:
                     )
                 return Scene(around, adapted, num_threads=num_threads), f"adapted:{light.name}"
             if insists:
-                found = why_not or "the bundle has no adapted caches"
+                reason = why_not or "the bundle has no adapted caches"
                 advice = "run lambent bake-light for this light, or leave the bounces to auto"
-                raise SettingError("relight.light_not_adapted", found, advice)
+                raise SettingError("relight.light_not_adapted", reason, advice)
             if why_not:
                 self._tell(f"no adapted fast cache fits this picture: {why_not}")
         if bounces == "one" or (not has_transport and bounces not in ("baked", "transport")):
@@ -307,7 +304,7 @@ class Renderer:
             coverage=coverage,
             num_samples=radiance.mean_samples * settings.antialias**2,
             bounces=bounces,
-            camera_attributes=camera_attributes(camera),
+            camera_attributes=camera.exr_attributes(),
         )
 
 

@@ -66,7 +66,7 @@ def look(caches: SurfaceCaches, camera: Camera, antialias: int) -> View:
     if antialias > 1:
         covered = (hits.opacity[:, 0] > MIN_OPACITY).reshape(camera.height, camera.width)
         pixel, sub_ray = rays_of_pixels(np.flatnonzero(grown(covered)), camera, antialias)
-        origin, direction = camera.resized(camera.width * antialias, camera.height * antialias).rays()
+        origin, direction = camera.finer(antialias).rays()
         origin, direction = origin[sub_ray], direction[sub_ray]
         hits = caches.gbuffer(origin, direction)
     seen = np.flatnonzero(hits.opacity[:, 0] > MIN_OPACITY)

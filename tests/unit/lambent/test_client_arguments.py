@@ -1,4 +1,4 @@
-"""What `Client` is given is checked before anything is sent, and what it returns shows itself in one line."""
+"""Arguments of `Client` are checked before anything is sent, and what it returns shows itself in one line."""
 
 from pathlib import Path
 

@@ -110,7 +110,7 @@ def zipped(bundle: Path, kind: int) -> Path:
 
 
 def spoil_deflated(archive: Path) -> None:
-    """Make zlib fail, whose error is no BadZipFile."""
+    """Make zlib fail, whose error is not a BadZipFile."""
     with zipfile.ZipFile(archive) as file:
         entry = file.getinfo("models/weights.bin")
     data = bytearray(archive.read_bytes())
@@ -212,7 +212,7 @@ def change_statement(bundle: Path, change: Callable[[dict[str, Any]], None]) -> 
 
 
 def sign_anew(bundle: Path) -> None:
-    """Do what somebody does who has a key, but not the server's."""
+    """Do what an attacker does who has a key, but not the server's."""
     (bundle / "mesh/asset.glb").write_bytes(b"another object")
     path = provenance.beside(bundle)
     statement = json.loads(base64.b64decode(json.loads(path.read_text())["payload"]))

@@ -1,4 +1,4 @@
-"""Waiting for jobs and batches: time-outs, progress, and servers that are away."""
+"""Waiting for jobs and batches: time-outs, progress, and servers that are unavailable."""
 
 import httpx2
 import pytest

@@ -133,7 +133,9 @@ def test_a_server_that_is_away_for_a_while_is_waited_for(server):
     server.faults.append(away)
     server.streams.append(ending(server, event("a", 1, type="state", state="succeeded")))
     assert seqs(watch(server)) == [1]
-    assert "GET /v1/jobs/a/events" not in server.requests, "a server that was away is streamed from again"
+    assert "GET /v1/jobs/a/events" not in server.requests, (
+        "a server that was unavailable is streamed from again"
+    )
 
 
 def test_patience_ends(server):

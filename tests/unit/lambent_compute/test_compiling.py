@@ -1,4 +1,4 @@
-"""What is compiled is kept on disk, until something changes that it was compiled from."""
+"""Compiled code is kept on disk, until something changes that it was compiled from."""
 
 import subprocess
 import sys

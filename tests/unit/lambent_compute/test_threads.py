@@ -1,4 +1,4 @@
-"""How many threads there may be; results come in order, and nothing is begun after the caller has stopped."""
+"""The number of threads; results come in order, and nothing is begun after the caller has stopped."""
 
 import os
 import time

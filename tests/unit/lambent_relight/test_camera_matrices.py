@@ -4,7 +4,6 @@ import numpy as np
 import OpenEXR
 import pytest
 from lambent_relight import Renderer, load_bundle, turntable, write_picture_exr
-from lambent_relight.camera_matrices import camera_attributes
 from lambent_relight.cameras import Camera
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere
@@ -30,7 +29,7 @@ def points_on_rays(camera, distance):
 
 @pytest.mark.parametrize("distance", [0.7, 3.0, 40.0])
 def test_a_point_on_the_ray_of_a_pixel_is_projected_to_its_centre(distance):
-    matrix = camera_attributes(TURNED)["worldToNDC"].astype(np.float64)
+    matrix = TURNED.exr_attributes()["worldToNDC"].astype(np.float64)
     points = points_on_rays(TURNED, distance)
     projected = np.concatenate([points, np.ones((30, 40, 1))], axis=-1) @ matrix
     places = projected[..., :2] / projected[..., 3:] * [40.0, 30.0]
@@ -39,7 +38,7 @@ def test_a_point_on_the_ray_of_a_pixel_is_projected_to_its_centre(distance):
 
 
 def test_camera_space_is_left_handed_with_z_forward():
-    matrix = camera_attributes(TURNED)["worldToCamera"].astype(np.float64)
+    matrix = TURNED.exr_attributes()["worldToCamera"].astype(np.float64)
     pose = TURNED.camera_to_world
     right, up, back, place = pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3]
     for point, expected in (
@@ -53,7 +52,7 @@ def test_camera_space_is_left_handed_with_z_forward():
 
 
 def test_the_last_number_of_a_projected_point_is_its_depth():
-    matrices = camera_attributes(TURNED)
+    matrices = TURNED.exr_attributes()
     point = np.append(points_on_rays(TURNED, 2.0)[4, 5], 1.0)
     depth = (point @ matrices["worldToCamera"])[2]
     assert (point @ matrices["worldToNDC"])[3] == pytest.approx(depth, rel=1e-5)
@@ -67,7 +66,7 @@ def test_a_rendered_file_has_the_matrices_of_its_camera_and_visibility_is_a_shar
     picture = renderer.render(TURNED, np.ones((4, 8, 3), np.float32), spp=2, antialias=1, background="white")
     write_picture_exr(tmp_path / "p.exr", picture)
     header = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0].header
-    for name, expected in camera_attributes(TURNED).items():
+    for name, expected in TURNED.exr_attributes().items():
         np.testing.assert_array_equal(header[name], expected)
     assert picture.visibility.min() >= 0.0
     assert picture.visibility.max() <= 1.0

@@ -67,9 +67,9 @@ def _load(name: str) -> Any:
 def missing_extra(name: str, error: ModuleNotFoundError | None = None) -> UsageProblemError:
     """Return the error for a command whose packages are not installed."""
     extra = _BY_NAME[name].extra if name in _BY_NAME else ""
-    found = f"the package {error.name!r} is not installed" if error else "it is not installed"
+    reason = f"the package {error.name!r} is not installed" if error else "it is not installed"
     return UsageProblemError(
-        "cli.missing_extra", f"`lambent {name}` cannot start: {found}", pip_install(*filter(None, [extra]))
+        "cli.missing_extra", f"`lambent {name}` cannot start: {reason}", pip_install(*filter(None, [extra]))
     )
 
 
@@ -110,7 +110,7 @@ def run(args: Sequence[str]) -> int:
     except SystemExit as error:
         code = error.code if isinstance(error.code, int) else 1
         if code == 130:
-            print("stopped; run the same command again to go on", file=sys.stderr)
+            print("stopped; run the same command again to continue", file=sys.stderr)
         return code
     return 0
 

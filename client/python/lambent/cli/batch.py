@@ -11,7 +11,7 @@ from lambent_relight.batch.plan import Plan, make_plan
 from lambent_relight.batch.reading import ManifestError, read_manifest
 
 from lambent.cli.batch_report import list_failures, report
-from lambent.cli.output import JsonOption, Output, UrlOption, format_duration
+from lambent.cli.output import FilesOption, JsonOption, Output, UrlOption, format_duration
 from lambent.cli.rendering import relight_errors, shown_batch
 from lambent.errors import UsageProblemError
 from lambent.manifest_file import Document, load_document
@@ -19,7 +19,7 @@ from lambent.manifest_file import Document, load_document
 
 def batch(
     manifest: Annotated[Path, typer.Argument(metavar="MANIFEST", help="What to render; YAML or JSON.")],
-    output_folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Where files go.")],
+    output_folder: FilesOption,
     jobs: Annotated[
         int, typer.Option("--jobs", "-j", help="Processes that render; 0: one per core.", min=0, max=256)
     ] = 1,

@@ -128,13 +128,13 @@ def _failures(client: Client, batch: Batch) -> list[Result]:
     results = []
     for job_id in batch.job_ids:
         job = client.job(job_id)
-        found = list(_findings(client, job_id))
-        for event in found:
+        findings = list(_findings(client, job_id))
+        for event in findings:
             code, _, message = event.message.partition(": ")
             failure = Failure(path=event.name or job_id, code=code, message=message)
             results.append(Result(path=failure.path, state="failed", failure=failure))
         repeats = job.error is not None and job.error.code in _REPEATS
-        if job.state != "succeeded" and not found and not repeats:
+        if job.state != "succeeded" and not findings and not repeats:
             code, message = (job.error.code, job.error.message) if job.error else (f"job.{job.state}", "")
             failure = Failure(path=f"{job_id}/*", code=code, message=message)
             results.append(Result(path=failure.path, state="failed", failure=failure))

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lambent.cli.output import JsonOption, Output
+from lambent.cli.output import JsonOption, Output, RotateOption
 from lambent.errors import UsageProblemError
 
 _PLACE = "OWN_ARGUMENTS: list[str] = []"
@@ -26,7 +26,7 @@ def blender(
     env: Annotated[
         Path | None, typer.Option(metavar="MAP", help="Light instead of the recovered one, .exr or .hdr.")
     ] = None,
-    rotate_deg: Annotated[float, typer.Option(help="Turn the light by this angle about +z, degrees.")] = 0.0,
+    rotate_deg: RotateOption = 0.0,
     view: Annotated[int, typer.Option(help="Number of the camera to look through.", min=0)] = 0,
     as_json: JsonOption = False,
 ) -> None:
@@ -57,7 +57,7 @@ def _arguments(bundle: Path, env: Path | None, rotate_deg: float, view: int) -> 
     if not (bundle / "mesh" / "asset.glb").is_file():
         raise UsageProblemError(
             "bundle.missing",
-            f'"{bundle}" is no bundle folder with mesh/asset.glb',
+            f'"{bundle}" is not a bundle folder with mesh/asset.glb',
             "Blender reads folders: fetch one with lambent fetch JOB -o DIR, or unpack the zip",
         )
     words = [str(bundle.resolve()), "--rotate-deg", str(rotate_deg), "--view", str(view)]

@@ -29,7 +29,7 @@ def demo(
 ) -> None:
     """Serve, push the bundled sample, train it, relight it under two unseen lights, compare with the truth.
 
-    Takes some minutes on two cores. Ctrl-C leaves nothing running; run again, it goes on where it was.
+    Takes some minutes on two cores. Ctrl-C leaves nothing running; run again, it continues where it was.
     On a terminal the server stays at the end, so that its page can be looked at (--no-keep: not).
     """
     for extra in ("client", "capture", "server", "worker"):

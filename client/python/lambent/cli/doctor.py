@@ -37,7 +37,7 @@ class Check:
 
     name: str
     verdict: str
-    found: str
+    shows: str
     advice: str = ""
 
 
@@ -52,8 +52,12 @@ def doctor(
     for check in examine(url, data or data_folder()):
         failed |= check.verdict == "fail"
         advice = f"\n{'':17}-> {check.advice}" if check.advice else ""
-        output.result(f"{check.verdict:<5}{check.name:<12}{check.found}{advice}", check)
+        output.result(f"{check.verdict:<5}{check.name:<12}{check.shows}{advice}", _for_machines(check))
     raise typer.Exit(1 if failed else 0)
+
+
+def _for_machines(check: Check) -> dict[str, str]:
+    return {"name": check.name, "verdict": check.verdict, "found": check.shows, "advice": check.advice}
 
 
 def examine(url: str, data: Path) -> Iterator[Check]:
@@ -70,10 +74,10 @@ def examine(url: str, data: Path) -> Iterator[Check]:
     yield check_server(url, data)
 
 
-def check_python(found: tuple[int, ...]) -> Check:
+def check_python(python: tuple[int, ...]) -> Check:
     """Return whether this Python is one we run on."""
-    text = f"{'.'.join(map(str, found))} ({platform.system()} {platform.machine()})"
-    if found < (3, 11):
+    text = f"{'.'.join(map(str, python))} ({platform.system()} {platform.machine()})"
+    if python < (3, 11):
         return Check("python", "fail", text, "install Python 3.11 or newer")
     return Check("python", "ok", text)
 
@@ -100,12 +104,12 @@ def missing_packages(extra: str) -> list[str]:
         if not requirement.marker.evaluate({"extra": extra}) or requirement.marker.evaluate({"extra": ""}):
             continue
         try:
-            found = version(requirement.name)
+            installed = version(requirement.name)
         except PackageNotFoundError:
             missing.append(requirement.name)
             continue
-        if not requirement.specifier.contains(found, prereleases=True):
-            missing.append(f"{requirement.name}{requirement.specifier} (found {found})")
+        if not requirement.specifier.contains(installed, prereleases=True):
+            missing.append(f"{requirement.name}{requirement.specifier} (found {installed})")
     return missing
 
 
@@ -121,11 +125,11 @@ def check_memory(available_bytes: int | None) -> Check:
     """Return whether a `fast` job fits into memory (4 GiB)."""
     if available_bytes is None:
         return Check("memory", "warn", "unknown on this system", "4 GiB are needed")
-    found = f"{format_size(available_bytes)} available"
+    text = f"{format_size(available_bytes)} available"
     if available_bytes < 4 * GIB:
         advice = "close other programs, or train with preset tiny; `fast` takes up to 4 GiB"
-        return Check("memory", "warn", found, advice)
-    return Check("memory", "ok", found)
+        return Check("memory", "warn", text, advice)
+    return Check("memory", "ok", text)
 
 
 def _available_memory() -> int | None:
@@ -145,13 +149,13 @@ def check_disk(data: Path) -> Check:
     """Return whether the disk of the data folder has room for some jobs."""
     existing = next(folder for folder in (data, *data.absolute().parents) if folder.exists())
     free = shutil.disk_usage(existing).free
-    found = f"{format_size(free)} free for {data}"
+    text = f"{format_size(free)} free for {data}"
     if free < GIB:
         advice = "free some space: below 1 GiB the server refuses uploads and jobs"
-        return Check("disk", "fail", found, advice)
+        return Check("disk", "fail", text, advice)
     if free < 5 * GIB:
-        return Check("disk", "warn", found, "about 0.3 GiB per job are used")
-    return Check("disk", "ok", found)
+        return Check("disk", "warn", text, "about 0.3 GiB per job are used")
+    return Check("disk", "ok", text)
 
 
 _GPU_PROBE = """
@@ -203,11 +207,11 @@ def check_ffmpeg(path: str | None) -> Check:
 
 def check_gl(find: Callable[[str], str | None]) -> Check:
     """Return whether an OpenGL library is there, for the desktop viewer."""
-    found = [name for name in ("GL", "EGL", "OSMesa") if find(name)]
-    if platform.system() == "Linux" and not found:
+    libraries = [name for name in ("GL", "EGL", "OSMesa") if find(name)]
+    if platform.system() == "Linux" and not libraries:
         advice = "install libgl1 (or libegl1) for the desktop viewer; everything else works without"
         return Check("opengl", "warn", "no library", advice)
-    return Check("opengl", "ok", ", ".join(found) or platform.system())
+    return Check("opengl", "ok", ", ".join(libraries) or platform.system())
 
 
 def check_server(url: str, data: Path) -> Check:
@@ -226,6 +230,6 @@ def check_server(url: str, data: Path) -> Check:
     theirs = str(answer.get("version", "unknown"))
     if theirs != __version__:
         advice = "install the same version on both sides"
-        found = f"{address} has version {theirs}, this client {__version__}"
-        return Check("server", "warn", found, advice)
+        text = f"{address} has version {theirs}, this client {__version__}"
+        return Check("server", "warn", text, advice)
     return Check("server", "ok", f"{address}, version {theirs}")

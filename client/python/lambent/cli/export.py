@@ -13,6 +13,19 @@ from lambent.cli.rendering import open_bundle, relight_errors
 from lambent.cli.setting_options import takes
 from lambent.errors import UsageProblemError
 
+_Glb = Annotated[bool, typer.Option("--glb", help="Write asset.glb, glTF 2.0.")]
+_Usdz = Annotated[bool, typer.Option("--usdz", help="Write asset.usdz; needs lambent[usd].")]
+_Obj = Annotated[bool, typer.Option("--obj", help="Write obj/asset.obj with materials.")]
+_Mitsuba = Annotated[bool, typer.Option("--mitsuba", help="Write mitsuba/scene.xml with light and cameras.")]
+_WEBP = "WebP textures in the GLB; readers need EXT_texture_webp."
+_KTX2 = "KTX 2 textures in the GLB; readers need KHR_texture_basisu; needs the program basisu."
+_DRACO = "Pack the GLB's mesh; readers need KHR_draco_mesh_compression; needs lambent[draco]."
+_TIER = "Of a bundle: full, or lite, without networks, for phones."
+_WEIGHTS = "Of a bundle: fp16, fp32, none, or auto: fp16 unless that moves the answers."
+_MESH = "Of a run's bundle: an edited mesh in place of the trained surface."
+_FACES = "Of a bundle: triangles of the mesh; auto: as many as it needs."
+_ATLAS = "Of a bundle: side of the albedo texture, or auto: as fine as the photographs."
+
 
 @takes("given", EnvironmentInput)
 def export(
@@ -25,56 +38,22 @@ def export(
             "-o", "--out", metavar="FOLDER", help="Where files go; for a bundle it must not exist yet."
         ),
     ],
-    glb: Annotated[bool, typer.Option("--glb", help="Write asset.glb, glTF 2.0.")] = False,
-    usdz: Annotated[bool, typer.Option("--usdz", help="Write asset.usdz; needs lambent[usd].")] = False,
-    obj: Annotated[bool, typer.Option("--obj", help="Write obj/asset.obj with materials.")] = False,
-    mitsuba: Annotated[
-        bool, typer.Option("--mitsuba", help="Write mitsuba/scene.xml with light and cameras.")
-    ] = False,
-    webp: Annotated[
-        bool, typer.Option("--webp", help="WebP textures in the GLB; readers need EXT_texture_webp.")
-    ] = False,
-    ktx2: Annotated[
-        bool,
-        typer.Option(
-            "--ktx2",
-            help="KTX 2 textures in the GLB; readers need KHR_texture_basisu; needs the program basisu.",
-        ),
-    ] = False,
-    draco: Annotated[
-        bool,
-        typer.Option(
-            "--draco",
-            help="Pack the GLB's mesh; readers need KHR_draco_mesh_compression; needs lambent[draco].",
-        ),
-    ] = False,
+    glb: _Glb = False,
+    usdz: _Usdz = False,
+    obj: _Obj = False,
+    mitsuba: _Mitsuba = False,
+    webp: Annotated[bool, typer.Option("--webp", help=_WEBP)] = False,
+    ktx2: Annotated[bool, typer.Option("--ktx2", help=_KTX2)] = False,
+    draco: Annotated[bool, typer.Option("--draco", help=_DRACO)] = False,
     env: Annotated[
         Path | None,
         typer.Option(metavar="MAP", help="Light of the Mitsuba scene; by default the recovered one."),
     ] = None,
-    tier: Annotated[str, typer.Option(help="Of a bundle: full, or lite, without networks, for phones.")] = "",
-    weights: Annotated[
-        str, typer.Option(help="Of a bundle: fp16, fp32, none, or auto: fp16 unless that moves the answers.")
-    ] = "",
-    mesh: Annotated[
-        Path | None,
-        typer.Option(
-            "--mesh",
-            metavar="FILE.glb",
-            help="Of a run's bundle: an edited mesh in place of the trained surface.",
-        ),
-    ] = None,
-    faces: Annotated[
-        str,
-        typer.Option(metavar="N|auto", help="Of a bundle: triangles of the mesh; auto: as many as it needs."),
-    ] = "",
-    atlas: Annotated[
-        str,
-        typer.Option(
-            metavar="TEXELS",
-            help="Of a bundle: side of the albedo texture, or auto: as fine as the photographs.",
-        ),
-    ] = "",
+    tier: Annotated[str, typer.Option(help=_TIER)] = "",
+    weights: Annotated[str, typer.Option(help=_WEIGHTS)] = "",
+    mesh: Annotated[Path | None, typer.Option("--mesh", metavar="FILE.glb", help=_MESH)] = None,
+    faces: Annotated[str, typer.Option(metavar="N|auto", help=_FACES)] = "",
+    atlas: Annotated[str, typer.Option(metavar="TEXELS", help=_ATLAS)] = "",
     as_json: JsonOption = False,
     *,
     given: EnvironmentInput,
@@ -82,39 +61,40 @@ def export(
     """Write the relightable bundle of a trained run or, with formats, its asset for other programs."""
     wanted = {"glb": glb, "usdz": usdz, "obj": obj, "mitsuba": mitsuba}
     formats = [name for name, asked in wanted.items() if asked]
-    _check_options(
-        {
-            "--webp": (webp, "glb"),
-            "--ktx2": (ktx2, "glb"),
-            "--draco": (draco, "glb"),
-            "--env": (env is not None, "mitsuba"),
-        },
-        formats,
-        for_bundle=bool(tier or weights or mesh or faces or atlas),
-    )
+    packing = {"webp": webp, "ktx2": ktx2, "draco": draco}
+    needs = {f"--{name}": (asked, "glb") for name, asked in packing.items()}
+    needs["--env"] = (env is not None, "mitsuba")
+    _check_options(needs, formats, for_bundle=bool(tier or weights or mesh or faces or atlas))
     if webp and ktx2:
         raise UsageProblemError("cli.bad_choice", "--webp with --ktx2", "textures are one of the two")
-    if not formats:
-        settings = {"tier": tier, "weights": weights, "faces": faces, "atlas": atlas}
-        _export_bundle(source, output_folder, mesh=mesh, as_json=as_json, **settings)
+    if formats:
+        _export_asset(source, output_folder, formats, env=env, given=given, as_json=as_json, **packing)
         return
+    settings = {"tier": tier, "weights": weights, "faces": faces, "atlas": atlas}
+    _export_bundle(source, output_folder, mesh=mesh, as_json=as_json, **settings)
+
+
+def _export_asset(
+    source: Path,
+    folder: Path,
+    formats: list[str],
+    *,
+    env: Path | None,
+    given: EnvironmentInput,
+    as_json: bool,
+    **packing: bool,
+) -> None:
+    """Write the asset of a run or bundle in formats of other programs."""
     # These take a moment to import, which the export of a bundle does not pay.
     from lambent_relight.asset.write import write_formats
     from lambent_relight.environment.input import open_environment
 
+    output = Output(as_json)
     with relight_errors():
         bundle = open_bundle(_bundle_of(source))
-        light = open_environment(env, given) if env is not None else None
-        written = write_formats(
-            bundle,
-            output_folder,
-            formats,
-            environment=light.environment if light is not None else None,
-            webp=webp,
-            ktx2=ktx2,
-            draco=draco,
-        )
-    output = Output(as_json)
+        light = None if env is None else open_environment(env, given)
+        environment = None if light is None else light.environment
+        written = write_formats(bundle, folder, formats, environment=environment, **packing)
     for note in light.notes(str(env)) if light is not None else ():
         output.note(note)
     output.result("\n".join(str(path) for path in written), {"files": [str(path) for path in written]})

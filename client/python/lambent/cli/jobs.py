@@ -89,10 +89,10 @@ def jobs(
 ) -> None:
     """List jobs, newest first."""
     with Client(url) as client:
-        found = list(client.jobs(state=state, label=label, limit=limit))
+        listed = list(client.jobs(state=state, label=label, limit=limit))
     output = Output(as_json)
     if as_json:
-        for job in found:
+        for job in listed:
             output.result("", job)
         return
     rows = [("JOB", "STATE", "WORK", "SCENE", "DONE", "CREATED")]
@@ -105,7 +105,7 @@ def jobs(
             f"{100 * _share(job):.0f} %",
             job.created_at[:19],
         )
-        for job in found
+        for job in listed
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     for row in rows:
@@ -190,7 +190,7 @@ def follow_jobs(client: Client, job_ids: Sequence[str], *, as_json: bool, findin
                     ended[update.id] = update
     except KeyboardInterrupt:
         ids = " ".join(job_ids)
-        Output(as_json).note(f"stopped watching; the work goes on. Again: lambent watch {ids}")
+        Output(as_json).note(f"stopped watching; the work continues. Again: lambent watch {ids}")
         return 130
     return 0 if all(job.state == "succeeded" for job in ended.values()) else 1
 
@@ -202,7 +202,7 @@ def read_corrections(file: Path) -> str:
     except (OSError, ValueError, RecursionError) as error:
         raise UsageProblemError(
             "cli.bad_corrections",
-            f"--corrections {file} is no JSON file that can be read: {error}",
+            f"--corrections {file} is not a JSON file that can be read: {error}",
             "give the corrections.json of the mask editor",
         ) from error
     return json.dumps(record, separators=(",", ":"))

@@ -3,6 +3,7 @@
 import json
 import sys
 from dataclasses import asdict, is_dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -10,6 +11,12 @@ import typer
 UrlOption = Annotated[
     str, typer.Option("--url", help="Server address (else LAMBENT_URL, else the local one).")
 ]
+BundleArgument = Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle folder or zip.")]
+FilesOption = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Where files go.")]
+PicturesOption = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Where pictures go.")]
+MapOption = Annotated[Path, typer.Option("--env", metavar="MAP", help="Environment map, .exr or .hdr.")]
+MapsOption = typer.Option("--env", metavar="MAP", help="Environment map, .exr or .hdr; repeatable.")
+RotateOption = Annotated[float, typer.Option(help="Turn the light by this angle about +z, degrees.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, one object per line, for machines.")]
 
 

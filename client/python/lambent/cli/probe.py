@@ -13,7 +13,7 @@ from lambent_relight import Environment, write_environment
 from lambent_relight.environment.input import OpenedEnvironment, open_environment
 from PIL import Image
 
-from lambent.cli.output import JsonOption, Output
+from lambent.cli.output import FilesOption, JsonOption, Output, RotateOption
 from lambent.cli.rendering import relight_errors
 from lambent.cli.setting_options import takes
 
@@ -23,8 +23,8 @@ _NUM_LIGHTS = 4
 @takes("given", EnvironmentInput)
 def probe(
     env: Annotated[Path, typer.Argument(metavar="MAP", help="Environment map, .exr or .hdr.")],
-    output_folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Where files go.")],
-    rotate_deg: Annotated[float, typer.Option(help="Turn the light by this angle about +z, degrees.")] = 0.0,
+    output_folder: FilesOption,
+    rotate_deg: RotateOption = 0.0,
     exposure_ev: Annotated[float, typer.Option(help="Brighten the PNGs by this many stops.")] = 0.0,
     from_deg: Annotated[float, typer.Option(help="Azimuth of the eye; 0 looks at the balls from +x.")] = 0.0,
     size: Annotated[int, typer.Option(help="Width of the balls, pixels.", min=2, max=4096)] = 256,

@@ -1,4 +1,4 @@
-"""How a job's updates look: bars on a terminal, plain lines elsewhere, JSON for machines."""
+"""Views of a job's updates: bars on a terminal, plain lines elsewhere, JSON for machines."""
 
 import json
 import sys

@@ -9,7 +9,14 @@ from lambent_relight import load_cameras
 from lambent_relight.batch.manifest import Files
 from lambent_relight.object_cameras import around_object
 
-from lambent.cli.output import JsonOption, Output
+from lambent.cli.output import (
+    BundleArgument,
+    JsonOption,
+    MapsOption,
+    Output,
+    PicturesOption,
+    RotateOption,
+)
 from lambent.cli.rendering import (
     Shot,
     asset_here,
@@ -26,18 +33,16 @@ from lambent.errors import UsageProblemError
 @takes("settings", RenderSettings)
 @takes("given", EnvironmentInput)
 def relight(
-    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle folder or zip.")],
-    env: Annotated[
-        list[Path], typer.Option("--env", metavar="MAP", help="Environment map, .exr or .hdr; repeatable.")
-    ],
-    output_folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Where pictures go.")],
+    bundle: BundleArgument,
+    env: Annotated[list[Path], MapsOption],
+    output_folder: PicturesOption,
     cameras: Annotated[
         Path | None, typer.Option(metavar="FILE", help="cameras.json as in the bundle.")
     ] = None,
     turntable: Annotated[
         int, typer.Option(metavar="N", help="N cameras around the object instead of a file.", min=0)
     ] = 0,
-    rotate_deg: Annotated[float, typer.Option(help="Turn the light by this angle about +z, degrees.")] = 0.0,
+    rotate_deg: RotateOption = 0.0,
     albedo_gain: Annotated[
         tuple[float, float, float], typer.Option(metavar="R G B", help="Factors on the albedo.")
     ] = (1.0, 1.0, 1.0),
@@ -80,13 +85,10 @@ def relight(
         opened = open_bundle(bundle)
         views = load_cameras(cameras) if cameras is not None else around_object(opened, turntable, size=size)
         asset = asset_here(bundle, material=material, object_rotate_deg=object_rotate_deg)
+        lights = {path.stem: light_here(path, given, rotate_deg) for path in env}
         shots = [
-            Shot(
-                path=f"{path.stem}/{view.name}",
-                light=light_here(path, given, rotate_deg),
-                camera=view,
-            )
-            for path in env
+            Shot(path=f"{name}/{view.name}", light=light, camera=view)
+            for name, light in lights.items()
             for view in views
         ]
         rows = rows_of(shots, opened, asset, settings)

@@ -88,9 +88,9 @@ def rows_of(shots: Sequence[Shot], bundle: Bundle, asset: Asset, settings: Rende
     maps = light_digests([shot.light for shot in shots])
     rows = []
     for shot in shots:
-        found = maps[shot.light.called]
-        if isinstance(found, Exception):
-            raise found
+        map_digest = maps[shot.light.called]
+        if isinstance(map_digest, Exception):
+            raise map_digest
         rows.append(
             Row(
                 path=shot.path,
@@ -99,7 +99,7 @@ def rows_of(shots: Sequence[Shot], bundle: Bundle, asset: Asset, settings: Rende
                 quality=quality,
                 camera=shot.camera,
                 bundle_digest=digest,
-                light_digest=found,
+                light_digest=map_digest,
             )
         )
     check_names(rows)

@@ -16,7 +16,7 @@ from lambent_relight.object_cameras import around_object
 from PIL import Image
 
 from lambent import film
-from lambent.cli.output import JsonOption, Output
+from lambent.cli.output import BundleArgument, JsonOption, MapOption, Output
 from lambent.cli.rendering import (
     PictureBar,
     Shot,
@@ -33,19 +33,15 @@ from lambent.errors import UsageProblemError
 
 TURNS = ("camera", "light", "object")
 ANIMATIONS = ("webp", "gif")
+_OUT = "A film, .mp4 or .webm, or a folder for pictures."
 
 
 @takes("settings", RenderSettings, spp=32, background="white")
 @takes("given", EnvironmentInput)
 def turntable(
-    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle folder or zip.")],
-    env: Annotated[Path, typer.Option("--env", metavar="MAP", help="Environment map, .exr or .hdr.")],
-    target: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--output", metavar="OUT", help="A film, .mp4 or .webm, or a folder for pictures."
-        ),
-    ],
+    bundle: BundleArgument,
+    env: MapOption,
+    target: Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help=_OUT)],
     frames: Annotated[
         int | None, typer.Option(help="Pictures of one whole turn (48).", min=2, max=100_000)
     ] = None,
@@ -83,37 +79,25 @@ def turntable(
     check_choice("--format", animation, (*ANIMATIONS, *(suffix[1:] for suffix in film.SUFFIXES), "none"))
     count = _num_frames(frames, seconds, fps)
     straight = bool(target.suffix) and not target.is_dir()
-    is_film = straight or f".{animation}" in film.SUFFIXES
     whole = target if straight else target / f"turntable.{animation}"
-    if is_film:
-        film.check_film(whole, crf)
-        if settings.background == "transparent":
-            raise UsageProblemError(
-                "turntable.no_alpha", f"{whole.name} cannot be transparent", "use --format webp, or white"
-            )
+    if straight or f".{animation}" in film.SUFFIXES:
+        _check_film(whole, crf, settings)
     elif crf is not None:
         raise UsageProblemError("cli.bad_choice", f"--crf with {animation}", "use it for .mp4 and .webm")
     output = Output(as_json)
-    light = light_here(env, given)
     files = Files.model_construct(files=["png"], linear=not straight, probes=probes)
     with relight_errors():
         opened = open_bundle(bundle)
-        shots = shots_of_turn(opened, light, turn, count, size=size, rotate_deg=rotate_deg)
+        shots = shots_of_turn(opened, light_here(env, given), turn, count, size=size, rotate_deg=rotate_deg)
         rows = rows_of(shots, opened, asset_here(bundle), settings)
         if straight:
             _stream(rows, files, film.FilmWriter(target, fps=fps, crf=crf), output)
         else:
             make_pictures(rows, files, target, output)
-    pictures = [target / f"{row.path}.png" for row in rows]
-    if animation in ANIMATIONS and not straight:
-        _write_animation(pictures, whole, fps)
-    elif animation == "none" and not straight:
+    if animation == "none" and not straight:
         whole = target
     elif not straight:
-        with film.FilmWriter(whole, fps=fps, crf=crf) as writer:
-            for path in pictures:
-                with Image.open(path) as image:
-                    writer.add(np.asarray(image.convert("RGB")))
+        _join([target / f"{row.path}.png" for row in rows], whole, fps, crf)
     output.result(str(whole), {"film": str(whole), "frames": count, "fps": fps})
 
 
@@ -133,6 +117,14 @@ def shots_of_turn(
         turned = light.model_copy(update={"rotate_deg": light_deg})
         shots.append(Shot(path=f"frames/{index:04d}", light=turned, camera=view))
     return shots
+
+
+def _check_film(path: Path, crf: int | None, settings: RenderSettings) -> None:
+    film.check_film(path, crf)
+    if settings.background == "transparent":
+        raise UsageProblemError(
+            "turntable.no_alpha", f"{path.name} cannot be transparent", "use --format webp, or white"
+        )
 
 
 def _num_frames(frames: int | None, seconds: float | None, fps: int) -> int:
@@ -159,8 +151,14 @@ def _stream(rows: Sequence[Row], files: Files, writer: film.FilmWriter, output: 
             bar.done(number, f"{number + 1}", "made")
 
 
-def _write_animation(pictures: list[Path], target: Path, fps: int) -> None:
-    """Write an endless animation; transparency is kept by both formats."""
+def _join(pictures: list[Path], target: Path, fps: int, crf: int | None) -> None:
+    """Write a film of pictures, or an endless animation, both formats of which keep transparency."""
+    if target.suffix in film.SUFFIXES:
+        with film.FilmWriter(target, fps=fps, crf=crf) as writer:
+            for path in pictures:
+                with Image.open(path) as image:
+                    writer.add(np.asarray(image.convert("RGB")))
+        return
     first, *rest = [Image.open(path).convert("RGBA") for path in pictures]
     options: dict[str, Any] = (
         {"lossless": False, "quality": 90, "method": 4} if target.suffix == ".webp" else {"disposal": 2}

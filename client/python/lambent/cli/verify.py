@@ -24,14 +24,15 @@ def verify(
 
     Needs no server. Without --key, damage is noticed, but not who has signed.
     """
-    found = provenance.verify(bundle, statement=statement, key=key)
+    verified = provenance.verify(bundle, statement=statement, key=key)
     output = Output(as_json)
-    signed = f"signed by {'' if found.trusted else 'the unknown key '}{found.key_id[:16]}"
+    signed = f"signed by {'' if verified.trusted else 'the unknown key '}{verified.key_id[:16]}"
     lines = [
-        f"{bundle}: {found.num_files} files are as stated, {signed}",
-        f"made by {found.made_by} from {len(found.inputs)} files, {found.started_on} to {found.finished_on}",
-        f"in {found.invocation}, preset {found.parameters.get('preset') or '-'}",
+        f"{bundle}: {verified.num_files} files are as stated, {signed}",
+        f"made by {verified.made_by} from {len(verified.inputs)} files, "
+        f"{verified.started_on} to {verified.finished_on}",
+        f"in {verified.invocation}, preset {verified.parameters.get('preset') or '-'}",
     ]
-    output.result("\n".join(lines), found)
-    if not found.trusted:
+    output.result("\n".join(lines), verified)
+    if not verified.trusted:
         output.note("add --key FILE with the key of the server that you trust: GET /v1/provenance-key")

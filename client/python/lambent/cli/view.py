@@ -9,7 +9,7 @@ from lambent_core.pictures import EnvironmentInput
 from lambent_relight import Renderer
 from lambent_relight.tone_mapping import NAMES as TONE_MAPPINGS
 
-from lambent.cli.output import JsonOption, Output
+from lambent.cli.output import BundleArgument, JsonOption, MapsOption, Output
 from lambent.cli.rendering import check_choice, open_bundle, relight_errors
 from lambent.cli.setting_options import takes
 from lambent.desktop.channels import RADIANCE, SURFACE
@@ -23,11 +23,8 @@ _option = partial(typer.Option, rich_help_panel=_DESKTOP)
 @takes("light", EnvironmentInput)
 def view(
     context: typer.Context,
-    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle folder or zip.")],
-    env: Annotated[
-        list[Path] | None,
-        typer.Option("--env", metavar="MAP", help="Environment map, .exr or .hdr; repeatable."),
-    ] = None,
+    bundle: BundleArgument,
+    env: Annotated[list[Path] | None, MapsOption] = None,
     desktop: Annotated[bool, typer.Option("--desktop", help="In a window of this machine.")] = False,
     screenshot: Annotated[
         Path | None, _option(metavar="OUT.png", help="Write the window's picture and end.")
@@ -54,14 +51,13 @@ def view(
 ) -> None:
     """Look at a bundle from all sides and in any light."""
     output = Output(as_json)
-    environments = list(env or ())
     if not desktop:
-        _show_in_browser(context, bundle, environments, light, output)
+        _show_in_browser(context, bundle, list(env or ()), light, output)
         return
     check_choice("--tone-mapping", tone_mapping, TONE_MAPPINGS)
     check_choice("--background", background, tuple(BACKDROPS))
     options = DesktopOptions(
-        environments=tuple(environments),
+        environments=tuple(env or ()),
         light=light,
         photographs=photographs,
         photograph=photograph,

@@ -52,7 +52,7 @@ class Exhibit:
     def address(self) -> str:
         """Return the address of the viewer on this server, without the host.
 
-        The key stands in the fragment, which browsers keep to themselves. The second map is the one that the
+        The key is in the fragment, which browsers keep to themselves. The second map is the one that the
         first is compared with; further ones are reached by their address only.
         """
         state = [("src", f"/show/{self.key}/bundle/")]

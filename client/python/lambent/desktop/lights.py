@@ -35,7 +35,7 @@ class Lights:
         return source.name if isinstance(source, Path) else f"{source} (recovered)"
 
     def add_file(self, path: Path) -> int:
-        """Add a file at the end and return its number; one that is there already keeps its number."""
+        """Add a file at the end and return its number; one that is listed already keeps its number."""
         if path not in self._sources:
             self._sources.append(path)
         return self._sources.index(path)

@@ -1,4 +1,4 @@
-"""How keys, the mouse and sliders change a viewer. Knows no window."""
+"""Keys, the mouse and sliders of a viewer, and how they change it. Knows no window."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -67,7 +67,7 @@ class ViewerModel:
         self._drag = (what, x, y)
 
     def move_mouse(self, x: int, y: int) -> bool:
-        """Go on dragging; returns whether anything changed."""
+        """Continue dragging; returns whether anything changed."""
         if self._drag is None:
             return False
         what, last_x, last_y = self._drag

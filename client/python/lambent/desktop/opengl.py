@@ -1,4 +1,4 @@
-"""Whether this machine can draw with OpenGL. Tried in a child process: a missing library may end it."""
+"""A trial of OpenGL on this machine, made in a child process: a missing library may end it."""
 
 import os
 import platform

@@ -51,24 +51,24 @@ def find_photographs(bundle: Bundle, folder: Path) -> list[Photograph]:
     for metadata in sorted(folder.glob("*/metadata.json")):
         if any((metadata.parent / f"rgba_{light}.png").is_file() for light in lights):
             cameras[metadata.parent.name] = _read(metadata.parent)
-    found = []
+    photographs = []
     for name, camera in sorted(cameras.items()):
         _check_same_world(known.get(name), camera)
         plain = next((path for s in _SUFFIXES if (path := folder / f"{name}{s}").is_file()), None)
         paths = [(lights[0] if lights else "", plain)] if plain else []
         paths += [(light, folder / name / f"rgba_{light}.png") for light in lights]
-        found += [
+        photographs += [
             Photograph(name=name, path=path, camera=camera, light=light)
             for light, path in paths
             if path.is_file()
         ]
-    if not found:
+    if not photographs:
         raise UsageProblemError(
             "view.no_photographs",
             f"{folder} has no photograph of a camera that is known ({', '.join(sorted(cameras)[:4])}, ...)",
             "give the scene's folder, or one with N.png for every camera N of the bundle's cameras.json",
         )
-    return found
+    return photographs
 
 
 def _read(folder: Path) -> Camera:

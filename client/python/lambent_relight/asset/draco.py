@@ -61,17 +61,17 @@ def glb_with_draco(data: bytes) -> bytes:
             normal_quantization_bits=NORMAL_BITS,
             generic_attributes={0: arrays["TANGENT"]} if "TANGENT" in arrays else None,
         )
-        found = draco.decode(packed)
-        stored = {attribute["attribute_type"]: attribute for attribute in found.attributes}
+        decoded = draco.decode(packed)
+        stored = {attribute["attribute_type"]: attribute for attribute in decoded.attributes}
         identifiers = {name: stored[_ATTRIBUTES[name][1]]["unique_id"] for name in names}
         accessors: list[dict[str, Any]] = []
         for name in names:
             kind = _ATTRIBUTES[name][0]
-            accessors.append({"componentType": _FLOAT, "count": len(found.points), "type": kind})
+            accessors.append({"componentType": _FLOAT, "count": len(decoded.points), "type": kind})
             primitive["attributes"][name] = len(accessors) - 1
-        low, high = found.points.min(axis=0), found.points.max(axis=0)
+        low, high = decoded.points.min(axis=0), decoded.points.max(axis=0)
         accessors[primitive["attributes"]["POSITION"]] |= {"min": low.tolist(), "max": high.tolist()}
-        accessors.append({"componentType": _UINT32, "count": int(found.faces.size), "type": "SCALAR"})
+        accessors.append({"componentType": _UINT32, "count": int(decoded.faces.size), "type": "SCALAR"})
         primitive["indices"] = len(accessors) - 1
         primitive["extensions"] = {DRACO: {"attributes": identifiers}}
         document["accessors"] = accessors
@@ -81,7 +81,7 @@ def glb_with_draco(data: bytes) -> bytes:
     except (*UNREADABLE, AssertionError, draco.EncodingFailedException) as error:
         raise BundleError(
             "bundle.mesh_invalid",
-            f"mesh/asset.glb is no mesh that Draco takes ({str(error)[:100]})",
+            f"mesh/asset.glb is not a mesh that Draco takes ({str(error)[:100]})",
             "export the bundle again",
         ) from error
     return packed_glb(document, payload, own)
@@ -99,12 +99,12 @@ def unpacked(
     data = glb_view(document, payload, packed["bufferView"])
     library = _library("a mesh that is packed with Draco")
     try:
-        found = library.decode(data)
+        decoded = library.decode(data)
     except library.FileTypeException as error:
-        raise ValueError("a packed mesh is no Draco data") from error
-    arrays = {attribute["unique_id"]: np.asarray(attribute["data"]) for attribute in found.attributes}
+        raise ValueError("a packed mesh is not Draco data") from error
+    arrays = {attribute["unique_id"]: np.asarray(attribute["data"]) for attribute in decoded.attributes}
     named = {name: arrays[number] for name, number in packed["attributes"].items()}
-    return named, np.asarray(found.faces, np.int64).reshape(-1)
+    return named, np.asarray(decoded.faces, np.int64).reshape(-1)
 
 
 def _without_plain_mesh(document: dict[str, Any], packed: bytes) -> dict[int, bytes]:

@@ -36,7 +36,7 @@ def ktx2_program() -> str:
 def ktx2_of(png: bytes, *, srgb: bool) -> bytes:
     """Return a picture as a KTX 2 file; `srgb` says that it holds colours and not linear numbers.
 
-    Raises ExportError: `export.ktx2_missing` without the program, `export.ktx2_size` for a side that is no
+    Raises ExportError: `export.ktx2_missing` without the program, `export.ktx2_size` for a side that is not a
     multiple of four, which the extension requires, and `export.ktx2` where the program cannot be started, is
     not done after half an hour, or writes no such file.
     """

@@ -30,7 +30,7 @@ norm normal.png
 def write_obj(folder: Path, mesh: TexturedMesh) -> None:
     """Write asset.obj, asset.mtl and the textures they name into `folder`.
 
-    occlusion.png has no keyword in MTL and lies beside them, for programs that can use it.
+    occlusion.png has no keyword in MTL and is written with them, for programs that can use it.
     """
     folder.mkdir(parents=True, exist_ok=True)
     packed = pixels_of(mesh.packed_png) / 255.0

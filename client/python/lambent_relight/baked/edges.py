@@ -98,8 +98,7 @@ class _Seen:
 def _ask(view: BakedView, caches: SurfaceCaches, pixels: NDArray[np.intp], antialias: int) -> _Seen:
     camera = view.camera
     owner, ray = rays_of_pixels(pixels, camera, antialias)
-    fine = camera.resized(camera.width * antialias, camera.height * antialias)
-    origin, direction = fine.rays()
+    origin, direction = camera.finer(antialias).rays()
     hits = caches.gbuffer(origin[ray], direction[ray])
     owner = np.searchsorted(pixels, owner)
     covered = np.bincount(owner, hits.opacity[:, 0], len(pixels)) / antialias**2
@@ -110,11 +109,11 @@ def _source(view: BakedView, wanted: NDArray[np.intp]) -> NDArray[np.int64]:
     """Return the number in `view` of the pixel nearest to each wanted one: itself or one of 8 neighbours."""
     number = pixel_numbers(view)
     row, column = np.divmod(wanted, view.camera.width)
-    found = number[row + 1, column + 1]
+    source = number[row + 1, column + 1]
     for dr, dc in _AROUND:
-        found = np.where(found >= 0, found, number[row + 1 + dr, column + 1 + dc])
-    assert (found >= 0).all(), "the border is one pixel wide"
-    return found
+        source = np.where(source >= 0, source, number[row + 1 + dr, column + 1 + dc])
+    assert (source >= 0).all(), "the border is one pixel wide"
+    return source
 
 
 def _mixed(

@@ -44,8 +44,8 @@ class MaterialMaps:
         self, uv: NDArray[np.floating], footprint: NDArray[np.floating]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return perceptual roughness and metalness at `uv` [n, 2], each [n, 1]; see `albedo_at`."""
-        found = self._at(self.packed, uv, footprint, _levels())
-        return found[:, 1:2], found[:, 2:3]
+        channels = self._at(self.packed, uv, footprint, _levels())
+        return channels[:, 1:2], channels[:, 2:3]
 
     def normal_at(self, uv: NDArray[np.floating], footprint: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return normals at `uv` [n, 2] in the frame of the tangents, not quite unit, [n, 3]."""
@@ -91,8 +91,8 @@ def lookup(
 ) -> NDArray[np.float32]:
     """Return the decoded `picture` [height, width, n] at `uv` [count, 2], bilinear, as [count, n].
 
-    `values` [256] are what the 8-bit levels stand for. Beyond the outermost centres the outermost pixels go
-    on.
+    `values` [256] are what the 8-bit levels stand for. Beyond the outermost centres the outermost pixels are
+    repeated.
     """
     picture, uv = np.ascontiguousarray(picture), np.ascontiguousarray(uv)
     out = np.empty((len(uv), picture.shape[2]), np.float32)

@@ -141,7 +141,7 @@ def glb_accessor(document: dict[str, Any], payload: bytes, index: int, kind: str
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
     numbers = (stride, start, count, view["byteLength"])
     if not all(isinstance(n, int) and n >= 0 for n in numbers) or stride < dtype.itemsize * components:
-        raise ValueError(f"accessor {index} has a size that is no size")
+        raise ValueError(f"accessor {index} has a size that is not a whole number")
     if count and start + (count - 1) * stride + dtype.itemsize * components > len(payload):
         raise ValueError(f"accessor {index} leaves the file")
     shape, strides = (count, components), (stride, dtype.itemsize)

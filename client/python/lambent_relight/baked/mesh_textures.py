@@ -56,10 +56,10 @@ def pixels_of(png: bytes) -> NDArray[np.uint8]:
 
 
 def texture_png(document: dict[str, Any], payload: bytes, texture: dict[str, Any]) -> bytes:
-    """Return the PNG file of a texture; raises ValueError for one that is no PNG, or too large."""
+    """Return the PNG file of a texture; raises ValueError for one that is not a PNG, or too large."""
     data = glb_view(document, payload, document["images"][texture["source"]]["bufferView"])
     if not data.startswith(_SIGNATURE):
-        raise ValueError("a texture is no PNG")
+        raise ValueError("a texture is not a PNG")
     # Before anything is decoded: some bytes can state pictures of gigabytes.
     width, height = struct.unpack_from(">II", data, 16)
     if max(width, height) > MAX_ATLAS:
@@ -68,5 +68,5 @@ def texture_png(document: dict[str, Any], payload: bytes, texture: dict[str, Any
         with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
             image.load()
     except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ValueError("a texture is no PNG") from error
+        raise ValueError("a texture is not a PNG") from error
     return data

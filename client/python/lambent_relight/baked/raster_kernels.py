@@ -58,9 +58,9 @@ def draw_faces(points, faces, lens, rows, face_of, weights, depth):
                 total = ea + eb + ec
                 if total == 0.0:
                     continue
-                found = volume / total * np.sqrt(dx * dx + dy * dy + 1.0)
-                if found < depth[r, column]:
-                    depth[r, column] = found
+                distance = volume / total * np.sqrt(dx * dx + dy * dy + 1.0)
+                if distance < depth[r, column]:
+                    depth[r, column] = distance
                     face_of[r, column] = f
                     weights[r, column, 0] = eb / total
                     weights[r, column, 1] = ec / total

@@ -19,7 +19,6 @@ from lambent_relight.baked.transport import shadow_directions
 from lambent_relight.baked.view import BakedView, look_at_surface
 from lambent_relight.bundle.bundle import Bundle
 from lambent_relight.bundle.graphs import NoCaches, SurfaceCaches
-from lambent_relight.camera_matrices import camera_attributes
 from lambent_relight.cameras import Camera
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.maps import Environment
@@ -232,7 +231,7 @@ def _still(view: BakedView, lobes: Lobes) -> RelitPicture:
         depth=view.camera.depth_along_axis(distance),
         coverage=coverage,
         num_samples=0,
-        camera_attributes=camera_attributes(view.camera),
+        camera_attributes=view.camera.exr_attributes(),
     )
     for name in (
         "opacity",

@@ -151,11 +151,11 @@ def load_baked_scene(bundle: Bundle) -> BakedScene:
     atlas = bundle.manifest.atlas
     data = bundle.read(MESH_PATH, MAX_MESH_BYTES)
     maps = material_maps(data, atlas.texel_size, transport.size)
-    found, stated = (maps.albedo[0].shape[:2], maps.packed[0].shape[:2]), (atlas.size, atlas.material_size)
-    if found != tuple((size, size) for size in stated):
+    sizes, stated = (maps.albedo[0].shape[:2], maps.packed[0].shape[:2]), (atlas.size, atlas.material_size)
+    if sizes != tuple((size, size) for size in stated):
         raise BundleError(
             "bundle.mesh_invalid",
-            f"the textures of mesh/asset.glb have {found} texels, but the manifest states {stated} a side",
+            f"the textures of mesh/asset.glb have {sizes} texels, but the manifest states {stated} a side",
             "export the bundle again",
         )
     return baked_scene(mesh_from_glb(data), transport, maps)

@@ -126,9 +126,9 @@ def _draw(points, faces, first, end, depth):
                 wc = ((ax - x) * (by - y) - (ay - y) * (bx - x)) / area
                 if wa < 0.0 or wb < 0.0 or wc < 0.0:
                     continue
-                found = np.float32(wa * a[2] + wb * b[2] + wc * c[2])
-                if found < depth[row, column]:
-                    depth[row, column] = found
+                own = np.float32(wa * a[2] + wb * b[2] + wc * c[2])
+                if own < depth[row, column]:
+                    depth[row, column] = own
 
 
 @compiled()
@@ -162,8 +162,8 @@ def _shares(position, normal, turn, axes, centre, sizes, depth, out):
             away = reach * np.sqrt((np.float32(i) + half) / np.float32(BLOCKER_TAPS))
             angle = np.float32(i) * np.float32(_GOLDEN) + turn[p]
             du, dv = away * np.cos(angle), away * np.sin(angle)
-            found = _look(depth, place[0] + du, place[1] + dv)
-            gap = own + slope[0] * du + slope[1] * dv - found
+            blocker = _look(depth, place[0] + du, place[1] + dv)
+            gap = own + slope[0] * du + slope[1] * dv - blocker
             if gap > zero:
                 count += 1
                 width += gap

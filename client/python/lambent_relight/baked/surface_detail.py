@@ -47,12 +47,12 @@ class SurfaceDetail:
         Hits that the mesh does not cover, or that lie elsewhere along the ray, stay as they are.
         """
         mesh = self.scene.mesh
-        found = rasterise(mesh.vertices, mesh.faces, camera)
-        depth = found.depth.ravel()[ray]
+        fragments = rasterise(mesh.vertices, mesh.faces, camera)
+        depth = fragments.depth.ravel()[ray]
         near = np.flatnonzero(np.abs(depth - hits.distance[:, 0]) < self.tolerance)
         part = Fragments(
-            found.face.ravel()[ray[near]][None],
-            found.barycentric.reshape(-1, 2)[ray[near]][None],
+            fragments.face.ravel()[ray[near]][None],
+            fragments.barycentric.reshape(-1, 2)[ray[near]][None],
             depth[near][None],
         )
         uv = interpolate(part, mesh.faces, mesh.uv)

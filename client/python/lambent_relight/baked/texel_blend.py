@@ -72,12 +72,12 @@ def _blend(plane, uv, first, start, end, texel, share, number):
                 weight = each * (fx if right else one - fx) * (fy if below else one - fy)
                 if weight <= zero:
                     continue
-                found = plane[min(top + below, size - 1), min(left + right, size - 1)]
+                chosen = plane[min(top + below, size - 1), min(left + right, size - 1)]
                 place = begin
-                while place < begin + count and texel[place] != found:
+                while place < begin + count and texel[place] != chosen:
                     place += 1
                 if place == begin + count:
-                    texel[place], share[place] = found, zero
+                    texel[place], share[place] = chosen, zero
                     count += 1
                 share[place] += weight
         number[p] = count

@@ -1,7 +1,7 @@
 """Looks up planes of an atlas and pictures at places between their pixels.
 
 Pixel (row, column) of a picture is centred at ((column + 0.5), (row + 0.5)) in pixels, or that divided by the
-size in u and v; beyond the outermost centres the outermost pixels go on.
+size in u and v; beyond the outermost centres the outermost pixels are repeated.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""What secondary rays meet where the bundle's mesh is traced.
+"""The surface that secondary rays meet where the bundle's mesh is traced.
 
 The fast cache's opacity is partial near the surface that a ray leaves: matter that is still a little
 transparent is in its own way. A mesh is met exactly, and not by rays that leave it.
@@ -60,11 +60,11 @@ class TracedSurface:
 
     def meet(self, origin: Rows, direction: Rows) -> Met:
         """Return the faces that rays [ray, 3] meet, and the texels there."""
-        found = self.rays(origin, direction)
+        first = self.rays(origin, direction)
         texel = np.zeros(len(origin), np.int32)
-        hit = np.flatnonzero(found.blocked)
-        texel[hit] = self.texels(found.face[hit], found.weights[hit])
-        return Met(found.blocked[:, None].astype(np.float32), found.distance[:, None], texel)
+        hit = np.flatnonzero(first.blocked)
+        texel[hit] = self.texels(first.face[hit], first.weights[hit])
+        return Met(first.blocked[:, None].astype(np.float32), first.distance[:, None], texel)
 
     def texels(self, face: NDArray[np.int32], weights: Rows) -> NDArray[np.int32]:
         """Return the texels [ray] at places of faces [ray] by the weights of their corners [ray, 3]."""
@@ -72,12 +72,12 @@ class TracedSurface:
 
     def settled(self, origin: Rows, direction: Rows, distance: Rows) -> Settled:
         """Return the points of camera rays [ray, 3] at `distance` [ray, 1], on the mesh where it is near."""
-        found = self.rays(origin, direction)
-        far = found.distance[:, None]
+        first = self.rays(origin, direction)
+        far = first.distance[:, None]
         near = np.abs(far - distance) < SAME_SURFACE * self.rays.size
         position = (origin + np.where(near, far, distance) * direction).astype(np.float32)
         # The face of a ray that misses is -1, and means nothing.
-        uv = np.einsum("nc,nci->ni", found.weights, self._uv[found.face])
+        uv = np.einsum("nc,nci->ni", first.weights, self._uv[first.face])
         return Settled(position, np.where(near, uv, np.float32(0.0)), near[:, 0])
 
 

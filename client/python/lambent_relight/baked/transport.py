@@ -143,7 +143,9 @@ def read_transport(bundle: Bundle) -> Transport | None:
     num_coarse = len(coarse_blocks(size, texel_index)[0])
     sets = _planes_by_name(stated)
     expected = {name: num_coarse if name == "indirect" else num_texels for name in _SETS}
-    found = {name: _read_planes(sets[name], read(sets[name].path), count) for name, count in expected.items()}
+    planes = {
+        name: _read_planes(sets[name], read(sets[name].path), count) for name, count in expected.items()
+    }
     bits = None
     if stated.shadow_bits_path:
         if stated.num_shadow_directions != NUM_SHADOW_DIRECTIONS:
@@ -153,9 +155,9 @@ def read_transport(bundle: Bundle) -> Transport | None:
             raise _invalid(f'"{stated.shadow_bits_path}" has {data.size} bytes')
         bits = data.reshape(num_texels, -1)
     bands = sets["indirect"].bands
-    indirect = found["indirect"].reshape(bands**2, 3, num_coarse)
+    indirect = planes["indirect"].reshape(bands**2, 3, num_coarse)
     return Transport(
-        size, texel_index, found["direct"], found["visibility"], indirect, bits, found["material"]
+        size, texel_index, planes["direct"], planes["visibility"], indirect, bits, planes["material"]
     )
 
 

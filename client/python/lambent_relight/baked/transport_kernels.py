@@ -163,11 +163,11 @@ def _nearest(queries, points, first, home, shape, low, cell, out):
         i = min(max(math.floor((x - low[0]) / cell), 1), shape[0] - 2)
         j = min(max(math.floor((y - low[1]) / cell), 1), shape[1] - 2)
         k = min(max(math.floor((z - low[2]) / cell), 1), shape[2] - 2)
-        best, found = np.float32(np.inf), -1
+        best, nearest = np.float32(np.inf), -1
         # First around the query, then, where nothing is, around the nearest occupied cell.
         for attempt in range(2):
             if attempt == 1:
-                if found >= 0:
+                if nearest >= 0:
                     break
                 number = home[(i * size_y + j) * size_z + k]
                 i, j, k = number // (size_y * size_z), (number // size_z) % size_y, number % size_z
@@ -178,5 +178,5 @@ def _nearest(queries, points, first, home, shape, low, cell, out):
                         dx, dy, dz = points[p, 0] - x, points[p, 1] - y, points[p, 2] - z
                         distance = dx * dx + dy * dy + dz * dz
                         if distance < best:
-                            best, found = distance, p
-        out[q] = found
+                            best, nearest = distance, p
+        out[q] = nearest

@@ -118,7 +118,7 @@ def look_at_surface(scene: BakedScene, camera: Camera, antialias: int, *, apart:
 
     With `apart` the fragments of a pixel are rows of their own where they differ too much for one.
     """
-    fine = camera.resized(camera.width * antialias, camera.height * antialias) if antialias > 1 else camera
+    fine = camera.finer(antialias)
     fragments = rasterise(scene.mesh.vertices, scene.mesh.faces, fine)
     row, column = np.nonzero(fragments.covered)
     owner = (row // antialias).astype(np.int64) * camera.width + column // antialias

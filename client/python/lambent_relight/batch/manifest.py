@@ -116,7 +116,7 @@ class Files(RenderOutput):
     linear: bool = False
     """Whether the linear picture is kept: another exposure, tone curve or background renders nothing."""
     probes: bool = False
-    """Whether a chrome and a grey ball stand in the PNG's corner."""
+    """Whether a chrome and a grey ball are drawn into the PNG's corner."""
 
 
 class Manifest(RenderSpec):

@@ -131,7 +131,7 @@ def make_plan(
         failures += [_failure(f"{asset.called}/*", error, at or pointer) for error, at in opened.errors]
         for quality in manifest.qualities:
             for index, light in enumerate(manifest.environments):
-                found = digests[light.called]
+                map_digest = digests[light.called]
                 for camera in opened.cameras:
                     path = manifest.output.path.format(
                         asset=asset.called,
@@ -139,8 +139,8 @@ def make_plan(
                         quality=quality.called,
                         camera=safe_name(camera.name),
                     )
-                    if isinstance(found, Exception):
-                        failures.append(_failure(path, found, manifest.light_pointer(index)))
+                    if isinstance(map_digest, Exception):
+                        failures.append(_failure(path, map_digest, manifest.light_pointer(index)))
                         continue
                     rows.append(
                         Row(
@@ -150,7 +150,7 @@ def make_plan(
                             quality=quality,
                             camera=camera,
                             bundle_digest=opened.digest,
-                            light_digest=found,
+                            light_digest=map_digest,
                             pointer=pointer,
                         )
                     )
@@ -196,8 +196,8 @@ def light_digests(
 ) -> dict[str, str | Exception]:
     """Return the hash of every environment's map by its name; a map is read once, however it is turned."""
     places = {(light.map, light.environment_id): light for light in lights}
-    found = {place: known.get(place[1]) or light_digest(light) for place, light in places.items()}
-    return {light.called: found[light.map, light.environment_id] for light in lights}
+    digests = {place: known.get(place[1]) or light_digest(light) for place, light in places.items()}
+    return {light.called: digests[light.map, light.environment_id] for light in lights}
 
 
 def cameras_of(entry: Cameras, bundle: Bundle) -> list[Camera]:

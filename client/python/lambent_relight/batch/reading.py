@@ -83,4 +83,4 @@ def _turned(light: Any) -> list[Any]:
 
 def _as_given(pointer: str, origins: list[int]) -> str:
     """Return the place in the document as it was given."""
-    return re.sub(r"(?<=^/environments/)\d+", lambda found: str(origins[int(found[0])]), pointer)
+    return re.sub(r"(?<=^/environments/)\d+", lambda match: str(origins[int(match[0])]), pointer)

@@ -31,20 +31,20 @@ class Result:
 def sort_plan(
     plan: Plan, files: Files, journal: Journal, *, copy: bool = True
 ) -> tuple[list[Result], list[Task]]:
-    """Return the pictures that are there, under their name or copied from another, and those to make.
+    """Return the pictures that exist, under their name or copied from another, and those to make.
 
     A file is known by the hash of everything it is made from. One that lies under another name is copied,
-    unless `copy` is False; then it is only told. Where linear pictures are kept, a task without one among its
-    files needs no rendering.
+    unless `copy` is False; then it is only listed. Where linear pictures are kept, a task without one among
+    its files needs no rendering.
     """
     done: list[Result] = []
     tasks: list[Task] = []
     for row in plan.rows:
         kept = (*files.files, LINEAR) if files.linear else files.files
         known = {suffix: journal.known(suffix, row.path, row.key(suffix, files)) for suffix in kept}
-        found = {suffix: made for suffix, made in known.items() if made is not None}
-        in_place = {suffix: made for suffix, made in found.items() if made.path == place(row.path, suffix)}
-        if not found.keys() >= set(files.files):
+        present = {suffix: made for suffix, made in known.items() if made is not None}
+        in_place = {suffix: made for suffix, made in present.items() if made.path == place(row.path, suffix)}
+        if not present.keys() >= set(files.files):
             # A file under another name may be overwritten before this picture's turn comes.
             wanted: list[str] = [suffix for suffix in files.files if suffix not in in_place]
             if files.linear and not (
@@ -53,13 +53,13 @@ def sort_plan(
                 wanted.append(LINEAR)
             tasks.append((row, tuple(wanted)))
             continue
-        source = _source(row, found, journal)
-        if in_place == found and source.path == row.path:
+        source = _source(row, present, journal)
+        if in_place == present and source.path == row.path:
             done.append(Result(path=row.path, state="kept", record=source))
             continue
         if copy:
-            found = {suffix: _copied(journal.folder, row, suffix, made) for suffix, made in found.items()}
-        record = replace(source, **row.names(), files=found)
+            present = {suffix: _copied(journal.folder, row, suffix, made) for suffix, made in present.items()}
+        record = replace(source, **row.names(), files=present)
         if copy:
             journal.add(record)
         done.append(Result(path=row.path, state="copied", record=record))
@@ -75,7 +75,7 @@ def run_batch(
     progress: Progress | None = None,
     strict: bool = False,
 ) -> Iterator[Result]:
-    """Make what is missing and yield the result of every picture; what is there or cannot be comes first.
+    """Make what is missing and yield the result of every picture; what exists or cannot be made comes first.
 
     Each picture is in the journal before it is yielded, so nothing is lost where the caller stops.
     `num_jobs`, `progress` and `strict` as in `run_tasks`.
@@ -117,12 +117,12 @@ def _has_layers(row: Row, files: Files, journal: Journal) -> bool:
     )
 
 
-def _source(row: Row, found: dict[str, MadeFile], journal: Journal) -> Record:
-    """Return the record that says what was measured on a picture that is there."""
+def _source(row: Row, present: dict[str, MadeFile], journal: Journal) -> Record:
+    """Return the record that says what was measured on a picture that exists."""
     own = journal.records.get(row.path)
-    if own is not None and all(own.files.get(suffix) == made for suffix, made in found.items()):
+    if own is not None and all(own.files.get(suffix) == made for suffix, made in present.items()):
         return own
-    paths = {made.path for made in found.values()}
+    paths = {made.path for made in present.values()}
     return next(
         record
         for record in journal.records.values()

@@ -23,7 +23,7 @@ def light_pictures(manifest: Manifest) -> Mapping[str, Image.Image]:
 
     Each is exposed so that the grey ball's mean is middle grey: maps differ by any factor.
     """
-    found: dict[str, Image.Image] = {}
+    pictures: dict[str, Image.Image] = {}
     known: tuple[object, LightProbes] | None = None
     for light in sorted(manifest.environments[:MAX_LIGHTS], key=lambda each: str(each.map)):
         if light.map is None or not light.map.is_file():
@@ -35,8 +35,8 @@ def light_pictures(manifest: Manifest) -> Mapping[str, Image.Image]:
             except (RelightError, OSError):
                 # The pictures of this map are listed as failed, with the reason.
                 continue
-        found[light.called] = _picture(known[1], light)
-    return found
+        pictures[light.called] = _picture(known[1], light)
+    return pictures
 
 
 def _picture(probes: LightProbes, light: Light) -> Image.Image:

@@ -15,7 +15,6 @@ from lambent_relight.batch.journal import MadeFile, Record
 from lambent_relight.batch.manifest import LINEAR, Files, place
 from lambent_relight.batch.plan import Row, bundle_digest, light_digest
 from lambent_relight.bundle.bundle import load_bundle
-from lambent_relight.camera_matrices import camera_attributes
 from lambent_relight.environment.input import OpenedEnvironment, open_environment
 from lambent_relight.environment.maps import Environment
 from lambent_relight.images import encode_png, read_picture_exr, write_picture_exr, write_png
@@ -132,7 +131,7 @@ class Studio:
                 **{**passes, **planes, "opacity": planes["coverage"]},
                 num_samples=int(kept["num_samples"]),
                 bounces=str(kept["bounces"]),
-                camera_attributes=camera_attributes(row.camera),
+                camera_attributes=row.camera.exr_attributes(),
             )
             return picture, tuple(str(note) for note in kept["notes"])
 

@@ -78,7 +78,7 @@ def write_sheets(
 ) -> list[Path]:
     """Write every picture small and with its name into contact_sheet.png, and return the files.
 
-    Pictures stand in the order of their names, one group for every folder; failed ones are empty and say why.
+    Pictures are in the order of their names, one group for every folder; failed ones are empty and say why.
     Above a group stand the `lights` of its pictures, by the names of their environments. Above 64 rows there
     are more sheets: contact_sheet_2.png and so on. Pictures are read from `folder`, one at a time, unless
     `tile_of` has them.

@@ -58,14 +58,14 @@ def adapted_lights(bundle: Bundle) -> list[AdaptedLight]:
 
     Raises BundleError `bundle.graph_damaged` where a graph says so in a form that cannot be read.
     """
-    found = []
+    lights = []
     for graph in bundle.manifest.graphs:
         if graph.name != "fast_cache":
             continue
         text = metadata(bundle.graph(graph.path)).get(METADATA_KEY, "")
         if text:
-            found.append(_parsed(graph.light, graph.path, text))
-    return found
+            lights.append(_parsed(graph.light, graph.path, text))
+    return lights
 
 
 def _parsed(name: str, path: str, text: str) -> AdaptedLight:

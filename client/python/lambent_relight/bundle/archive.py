@@ -60,16 +60,16 @@ class FolderSource:
 
     def paths(self) -> set[str]:
         """Return every file below the folder, with forward slashes."""
-        found: set[str] = set()
+        names: set[str] = set()
         for entry in self._root.rglob("*"):
             mode = entry.lstat().st_mode
             name = entry.relative_to(self._root).as_posix()
             if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
                 raise _no_plain_file(name)
             if stat.S_ISREG(mode):
-                found.add(name)
-            _check_count(len(found))
-        return found
+                names.add(name)
+            _check_count(len(names))
+        return names
 
     def size_bytes(self, path: str) -> int:
         """Return the size of a file."""
@@ -178,14 +178,14 @@ def digest(source: FileSource, path: str) -> str:
 
     Raises BundleError when it is damaged.
     """
-    found = hashlib.sha256()
+    hasher = hashlib.sha256()
     try:
         with source.open(path) as file:
             while block := file.read(_BLOCK):
-                found.update(block)
+                hasher.update(block)
     except _UNREADABLE as error:
         raise _unreadable(path) from error
-    return found.hexdigest()
+    return hasher.hexdigest()
 
 
 def _unreadable(path: str) -> BundleError:

@@ -200,11 +200,11 @@ def _check_values(manifest: BundleManifest) -> None:
         return BundleError("bundle.manifest_invalid", what, "export the bundle again")
 
     for name, expected in _CONVENTIONS.items():
-        found = getattr(manifest.world, name)
-        if found != expected:
+        stated = getattr(manifest.world, name)
+        if stated != expected:
             raise BundleError(
                 "bundle.convention_unknown",
-                f"world.{name} is {found[:64]!r}, this reader knows {expected!r}",
+                f"world.{name} is {stated[:64]!r}, this reader knows {expected!r}",
                 "export the bundle with the conventions of docs/reference/conventions.md",
             )
     rays = manifest.secondary_rays

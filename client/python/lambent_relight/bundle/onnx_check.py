@@ -1,4 +1,4 @@
-"""A look into an ONNX file before a runtime opens it, and a model trimmed to what is asked of it.
+"""A look into an ONNX file before a runtime opens it, and a model trimmed to the outputs that are needed.
 
 Files are read as the messages of our onnx.proto, which name every place that can refer to operators, inner
 graphs or other files, so that no runtime's own parser has to be trusted with a stranger's file.
@@ -47,7 +47,7 @@ def keep_outputs(data: bytes, names: set[str]) -> bytes:
     graph.output.extend(outputs)
     if not any(part.HasField("g") or part.graphs for node in graph.node for part in node.attribute):
         needed, serving = set(names), []
-        # Nodes stand in an order in which none comes before what it needs.
+        # Nodes are in an order in which none comes before what it needs.
         for node in reversed(graph.node):
             if not needed.isdisjoint(node.output):
                 needed.update(node.input)
@@ -60,8 +60,8 @@ def keep_outputs(data: bytes, names: set[str]) -> bytes:
 def check_onnx(data: bytes, *, path: str, weights_bytes: int) -> list[ExternalTensor]:
     """Return the tensors a graph takes from models/weights.bin, of `weights_bytes` bytes.
 
-    Raises BundleError for bytes that are no model, a graph with training information, operators outside the
-    ONNX standard, or data in any other file or beyond the end of that one.
+    Raises BundleError for bytes that are not a model, a graph with training information, operators outside
+    the ONNX standard, or data in any other file or beyond the end of that one.
     """
     try:
         model = _read(data)

@@ -91,5 +91,5 @@ def read_uncertainty(
 
 
 def _invalid(what: str) -> BundleError:
-    found = f"the uncertainty grid {what}"
-    return BundleError("bundle.uncertainty_invalid", found, "export the bundle again")
+    message = f"the uncertainty grid {what}"
+    return BundleError("bundle.uncertainty_invalid", message, "export the bundle again")

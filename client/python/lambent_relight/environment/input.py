@@ -23,19 +23,21 @@ class OpenedEnvironment:
 
     def notes(self, name: str) -> list[str]:
         """Return one sentence for everything that a user should know about the map `name`."""
-        found = []
+        sentences = []
         read = self.environment
         if read.read_as != LATLONG:
             height, width = read.radiance.shape[:2]
-            found.append(f"{name}: read as {LAYOUTS[read.read_as]}, converted to {width} x {height} pixels")
+            sentences.append(
+                f"{name}: read as {LAYOUTS[read.read_as]}, converted to {width} x {height} pixels"
+            )
         if read.cleaning:
-            found.append(f"{name}: replaced {read.cleaning}")
+            sentences.append(f"{name}: replaced {read.cleaning}")
         if read.reduced_from is not None:
             (rows, columns), (height, width) = read.reduced_from, read.radiance.shape[:2]
-            found.append(f"{name}: reduced from {columns} x {rows} to {width} x {height} pixels")
+            sentences.append(f"{name}: reduced from {columns} x {rows} to {width} x {height} pixels")
         if self.clamp is not None:
-            found.append(f"{name}: sun clamp: {self.clamp}")
-        return found
+            sentences.append(f"{name}: sun clamp: {self.clamp}")
+        return sentences
 
 
 def open_environment(path: Path | str, given: EnvironmentInput | None = None) -> OpenedEnvironment:

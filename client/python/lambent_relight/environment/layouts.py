@@ -100,10 +100,10 @@ def decided_layout(name: str, height: int, width: int, stated: str | None, given
     layout = given if given != AUTO else stated or layout_of_size(height, width)
     if layout == LATLONG or (layout and _fits(layout, height, width)):
         return layout
-    found = f"which {LAYOUTS[layout]} cannot have" if layout else "which no layout has"
+    reason = f"which {LAYOUTS[layout]} cannot have" if layout else "which no layout has"
     raise EnvironmentFileError(
         "environment.shape",
-        f'"{name}" has {width} x {height} pixels, {found}; expected twice as wide as high '
+        f'"{name}" has {width} x {height} pixels, {reason}; expected twice as wide as high '
         "(latitude-longitude), 4:3 or 3:4 (cross), 6:1 or 1:6 (strip) or a square (light probe)",
         "crop or convert the map, or name its layout: --env-layout (latlong takes any size)",
     )
@@ -159,8 +159,8 @@ def to_latlong(image: NDArray[np.float32], layout: str, *, max_width: int = MAX_
             level * np.sin(azimuth),
             np.broadcast_to(up, (len(up), len(across))),
         )
-        found = source.lookup(np.stack(parts, axis=-1))
-        result[row : row + len(top)] = found.reshape(len(top), _SUBSAMPLES, width, _SUBSAMPLES, 3).mean(
+        radiance = source.lookup(np.stack(parts, axis=-1))
+        result[row : row + len(top)] = radiance.reshape(len(top), _SUBSAMPLES, width, _SUBSAMPLES, 3).mean(
             axis=(1, 3)
         )
     return result

@@ -71,9 +71,9 @@ class Environment:
     def __post_init__(self) -> None:
         image = self.radiance
         if not isinstance(image, np.ndarray) or image.ndim != 3 or image.shape[2:] != (3,):
-            found = list(image.shape) if isinstance(image, np.ndarray) else type(image).__name__
+            shape = list(image.shape) if isinstance(image, np.ndarray) else type(image).__name__
             raise _refuse(
-                f"radiance is {found} and no array [height, width, 3]",
+                f"radiance is {shape} and no array [height, width, 3]",
                 "make an environment with environment_from_array, which also checks the values",
             )
         number(self.rotate_deg, "rotate_deg", refuse=_refuse)
@@ -182,9 +182,9 @@ def load_environment(
         )
     picture = reader(path, max_pixels=max_file_pixels)
     height, width = picture.height, picture.width
-    found = decided_layout(path.name, height, width, picture.layout, layout)
-    if found != LATLONG:
-        return _converted(path, picture, found, max_pixels, mend, certain=layout != AUTO)
+    layout_name = decided_layout(path.name, height, width, picture.layout, layout)
+    if layout_name != LATLONG:
+        return _converted(path, picture, layout_name, max_pixels, mend, certain=layout != AUTO)
     step = next(step for step in range(1, height * width + 1) if height * width <= max_pixels * step * step)
     if height % step or width % step:
         raise _too_large(path, height, width, max_pixels, f"which blocks of {step} x {step} do not divide")

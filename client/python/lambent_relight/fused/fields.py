@@ -84,7 +84,7 @@ class Fields(NamedTuple):
         if shapes != [(1, hidden), (3, width), (5, material_grid.num_outputs)]:
             raise NotFused(f"the heads have the shapes {shapes}")
         bias_names = ("albedo_bias",) * 3 + ("alpha_bias", "metalness_bias")
-        found = cls(
+        networks = cls(
             radius=radius,
             occupancy=_occupancy(weights, constants) if occupied else _everywhere(),
             density_grid=density_grid,
@@ -99,7 +99,7 @@ class Fields(NamedTuple):
             material_bias=np.array([constants[name] for name in bias_names], np.float32),
             alpha_minimum=np.float32(constants["alpha_minimum"]),
         )
-        return found, constants
+        return networks, constants
 
     def work(self) -> Rows:
         """Return room for the networks' activations."""
@@ -184,7 +184,7 @@ def surfaces(fields, positions, work, out):
     width = fields.density_head.layers[0, 2]
     num_own = len(fields.normal_grid.levels) * fields.normal_grid.table.shape[1]
     inputs = np.zeros((num_own + width, STRIDE), np.float32)
-    found = np.zeros((fields.materials.layers[0, 2], STRIDE), np.float32)
+    raw = np.zeros((fields.materials.layers[0, 2], STRIDE), np.float32)
     one = np.float32(1.0)
     for first in range(0, len(positions), BLOCK):
         count = min(BLOCK, len(positions) - first)
@@ -197,8 +197,8 @@ def surfaces(fields, positions, work, out):
             x, y, z = values[0, r], values[1, r], values[2, r]
             share = -one / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-8))
             values[0, r], values[1, r], values[2, r] = share * x, share * y, share * z
-        grids.encode(fields.material_grid, points, count, found)
-        run_head(fields.materials, found, values[3:])
+        grids.encode(fields.material_grid, points, count, raw)
+        run_head(fields.materials, raw, values[3:])
         for k in range(3, NUM_PROPERTIES):
             for r in range(BLOCK):
                 values[k, r] = sigmoid(values[k, r] + fields.material_bias[k - 3])

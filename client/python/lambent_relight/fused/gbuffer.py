@@ -46,9 +46,9 @@ class FusedGbuffer:
         rays, positions, masses, opacity, distance = _groups(
             entry, direction, length[:, 0], weight, self._group
         )
-        found = np.empty((len(rays), fields.NUM_PROPERTIES), np.float32)
-        fields.surfaces(self._fields, positions, work, found)
-        total = _sums(rays, masses, found, len(origin))
+        properties = np.empty((len(rays), fields.NUM_PROPERTIES), np.float32)
+        fields.surfaces(self._fields, positions, work, properties)
+        total = _sums(rays, masses, properties, len(origin))
         share = np.float32(1.0) / np.maximum(opacity, _OPACITY_FLOOR)
         out.opacity[:] = opacity
         out.distance[:] = (distance + start * opacity) * share
@@ -132,7 +132,7 @@ def _groups(entry, direction, length, weight, group):
     rays, masses = np.empty(most, np.int64), np.empty(most, np.float32)
     positions = np.empty((most, 3), np.float32)
     opacity, distance = np.empty((num_rays, 1), np.float32), np.empty((num_rays, 1), np.float32)
-    found = np.int64(0)
+    num_groups = np.int64(0)
     for ray in range(num_rays):
         total, moments = 0.0, 0.0
         for k in range(count):
@@ -148,17 +148,17 @@ def _groups(entry, direction, length, weight, group):
             if mass > least:
                 middle = moment / max(mass, np.float32(1e-6))
                 for axis in range(3):
-                    positions[found, axis] = entry[ray, axis] + middle * direction[ray, axis]
-                rays[found], masses[found] = ray, mass
-                found += 1
-    return rays[:found], positions[:found], masses[:found], opacity, distance
+                    positions[num_groups, axis] = entry[ray, axis] + middle * direction[ray, axis]
+                rays[num_groups], masses[num_groups] = ray, mass
+                num_groups += 1
+    return rays[:num_groups], positions[:num_groups], masses[:num_groups], opacity, distance
 
 
 @compiled()
-def _sums(rays, masses, found, num_rays):
+def _sums(rays, masses, values, num_rays):
     """Return the sums of `found` [group, n] times `masses` over the groups of each ray, [ray, n]."""
-    total = np.zeros((num_rays, found.shape[1]))
+    total = np.zeros((num_rays, values.shape[1]))
     for g in range(len(rays)):
-        for i in range(found.shape[1]):
-            total[rays[g], i] += found[g, i] * masses[g]
+        for i in range(values.shape[1]):
+            total[rays[g], i] += values[g, i] * masses[g]
     return total.astype(np.float32)

@@ -44,10 +44,10 @@ class FusedMaterials:
 
     def __call__(self, position: Rows, out: PointMaterials) -> None:
         """Write the surface at points [row, 3]."""
-        found = np.empty((len(position), fields.NUM_PROPERTIES), np.float32)
-        fields.surfaces(self._fields, position, self._fields.work(), found)
-        out.normal[:], out.albedo[:] = found[:, 0:3], found[:, 3:6]
-        out.perceptual_roughness[:], out.metalness[:] = found[:, 6:7], found[:, 7:8]
+        properties = np.empty((len(position), fields.NUM_PROPERTIES), np.float32)
+        fields.surfaces(self._fields, position, self._fields.work(), properties)
+        out.normal[:], out.albedo[:] = properties[:, 0:3], properties[:, 3:6]
+        out.perceptual_roughness[:], out.metalness[:] = properties[:, 6:7], properties[:, 7:8]
 
 
 class FusedCaches:
@@ -97,11 +97,11 @@ class FusedCaches:
     def _run(self, kind: type[T], function: Callable[..., None], rows_per_task: int, *arrays: Rows) -> T:
         count = len(arrays[0])
         arrays = tuple(np.ascontiguousarray(array, np.float32) for array in arrays)
-        found = {name: np.zeros((count, width), np.float32) for name, width in output_widths(kind).items()}
+        outputs = {name: np.zeros((count, width), np.float32) for name, width in output_widths(kind).items()}
 
         def task(start: int) -> None:
             rows = slice(start, start + rows_per_task)
-            function(*(array[rows] for array in arrays), kind(**{k: v[rows] for k, v in found.items()}))
+            function(*(array[rows] for array in arrays), kind(**{k: v[rows] for k, v in outputs.items()}))
 
         for_each(task, range(0, count, rows_per_task), self._threads)
-        return kind(**found)
+        return kind(**outputs)

@@ -71,10 +71,10 @@ class Weights:
 
     def layers(self, name: str) -> list[Layer]:
         """Return the layers `name`.0, `name`.1, ... as far as they go."""
-        found: list[Layer] = []
-        while f"{name}.{len(found)}.weight" in self:
-            found.append(self.layer(f"{name}.{len(found)}"))
-        return found
+        layers: list[Layer] = []
+        while f"{name}.{len(layers)}.weight" in self:
+            layers.append(self.layer(f"{name}.{len(layers)}"))
+        return layers
 
     def grid(self, name: str) -> Grid:
         """Return the feature grid of this name; raises BundleError where it names rows that are not there."""
@@ -113,14 +113,14 @@ def graph_constants(
         values = json.loads(text) if text else {}
         if values.get("kind") != kind:
             raise NotFused(f"the {graph} graph's network is {values.get('kind')!r}, not {kind!r}")
-        found = {name: values[name] for name in names + optional}
-        for name, value in found.items():
+        constants = {name: values[name] for name in names + optional}
+        for name, value in constants.items():
             given = value is not None or name not in optional
             if given and not np.isfinite(np.asarray(value, np.float64)).all():
                 raise ValueError(f"{name} is not finite")
     except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
         raise NotFused(f"the {graph} graph's {METADATA_KEY} is incomplete ({error})") from error
-    return found
+    return constants
 
 
 def chained(layers: list[Layer], num_inputs: int, *, may_skip: bool = False) -> tuple[int, int | None]:

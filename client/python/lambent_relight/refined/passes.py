@@ -173,7 +173,7 @@ def _path_radiance(
 ) -> NDArray[np.float32]:
     """Return unbiased estimates of what comes back along rays that met something, [ray, 3].
 
-    A path goes on from each hit in one direction, and is followed with the probability of its opacity: light
+    A path continues from each hit in one direction, followed with the probability of its opacity: light
     that reaches the hits after at most `most_bounces` reflections, theirs included.
     """
     if most_bounces < 1 or len(origin) == 0:

@@ -41,20 +41,20 @@ class Running:
             freedom=np.zeros(count, np.int64),
         )
 
-    def add(self, found: Radiance, pixels: NDArray[np.integer], points: NDArray[np.integer]) -> None:
+    def add(self, radiance: Radiance, pixels: NDArray[np.integer], points: NDArray[np.integer]) -> None:
         """Add an independent round of some pixels, whose rays are `points`, by its number of directions."""
-        total = self.num_samples[pixels] + found.num_samples
-        share = (found.num_samples / total).astype(np.float32)
+        total = self.num_samples[pixels] + radiance.num_samples
+        share = (radiance.num_samples / total).astype(np.float32)
         of_point = np.zeros(len(self.freedom), np.float32)
         of_point[pixels] = share
         new = of_point[self.pixels.pixel[points]][:, None]
         for name in _MEANS:
             values = getattr(self, name)
-            values[points] += new * (getattr(found, name) - values[points])
-        own, other = self.standard_error[pixels], found.standard_error
+            values[points] += new * (getattr(radiance, name) - values[points])
+        own, other = self.standard_error[pixels], radiance.standard_error
         self.standard_error[pixels] = np.hypot((1.0 - share)[:, None] * own, share[:, None] * other)
         self.num_samples[pixels] = total
-        self.freedom[pixels] += found.freedom
+        self.freedom[pixels] += radiance.freedom
 
     @property
     def mean_samples(self) -> int:

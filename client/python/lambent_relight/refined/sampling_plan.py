@@ -58,7 +58,7 @@ def estimated(
                 if progress is not None:
                     progress(min(1.0, (done + part * work) / max(done + left, 1e-9)))
 
-            found = outgoing_radiance(
+            radiance = outgoing_radiance(
                 points[there],
                 scene,
                 light,
@@ -70,8 +70,8 @@ def estimated(
                 shares=None if shares is None else shares[:, chosen],
                 progress=advance,
             )
-            total.add(found, chosen, there)
-            shares = found.shares if shares is None else shares
+            total.add(radiance, chosen, there)
+            shares = radiance.shares if shares is None else shares
             number, done, left = number + 1, done + work, left - work
         target = settings.until_stderr
         if not target or not len(every) or total.relative_error() <= target:

@@ -98,13 +98,13 @@ def outgoing_radiance(
 
     # In the order of the tasks, so that sums are the same for any number of threads.
     with closing(in_order(work, tasks, scene.num_threads)) as results:
-        for done, ((_, index), found) in enumerate(zip(tasks, results, strict=True)):
+        for done, ((_, index), values) in enumerate(zip(tasks, results, strict=True)):
             run, rays = parts[index]
-            sums[:, run] += found
+            sums[:, run] += values
             first = pixels.pixel[run.start]
             here = slice(first, first + len(rays.first))
-            rest = rays.mean(found[0].astype(np.float64) + found[1])
-            spread.add(here, rest, rays.mean(found[4]), rays.mean(found[5]))
+            rest = rays.mean(values[0].astype(np.float64) + values[1])
+            spread.add(here, rest, rays.mean(values[4]), rays.mean(values[5]))
             if progress is not None:
                 progress((done + 1) / len(tasks))
     means = sums / num_passes

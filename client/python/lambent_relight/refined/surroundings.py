@@ -1,4 +1,4 @@
-"""What secondary rays meet: the fast cache's answer, or that of something else (`baked.traced_surface`)."""
+"""Surroundings that secondary rays meet: the fast cache's, or others (`baked.traced_surface`)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -96,10 +96,10 @@ class CacheSurroundings:
 
     def surface(self, met: Met, position: Rows, omega_o: Rows) -> SurfacePoints:
         """Return the surface that was met at `position` [ray, 3], edited."""
-        found = self.caches.material(position)
-        albedo, roughness = self.edit.apply(found.albedo, found.perceptual_roughness)
-        materials = materials_from_roughness(albedo, roughness, found.metalness)
-        return SurfacePoints(position, normalise(found.normal), omega_o, materials)
+        properties = self.caches.material(position)
+        albedo, roughness = self.edit.apply(properties.albedo, properties.perceptual_roughness)
+        materials = materials_from_roughness(albedo, roughness, properties.metalness)
+        return SurfacePoints(position, normalise(properties.normal), omega_o, materials)
 
     def radiance(self, met: Met, position: Rows, omega_o: Rows) -> Rows:
         """Return what it sends towards `omega_o` [ray, 3]."""

@@ -91,7 +91,7 @@ def trace(tree, one_sided, origin, direction, face, distance, place):
     """Write each ray's first face (-1: none), its distance, and (u, v) there, [ray], [ray], [ray, 2]."""
     stack = np.empty(STACK, np.int32)
     for r in range(len(origin)):
-        found, far, u, v = first_face(
+        hit, far, u, v = first_face(
             tree,
             one_sided,
             origin[r, 0],
@@ -102,5 +102,5 @@ def trace(tree, one_sided, origin, direction, face, distance, place):
             direction[r, 2],
             stack,
         )
-        face[r] = tree.face[found] if found >= 0 else -1
+        face[r] = tree.face[hit] if hit >= 0 else -1
         distance[r], place[r, 0], place[r, 1] = far, u, v

@@ -8,7 +8,7 @@ from lambent.cli.doctor import GIB
 
 
 def test_the_report_has_one_line_per_check_and_machine_readable_rows(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(doctor, "check_gpu", lambda: doctor.Check(name="gpu", verdict="ok", found="none"))
+    monkeypatch.setattr(doctor, "check_gpu", lambda: doctor.Check(name="gpu", verdict="ok", shows="none"))
     monkeypatch.delenv("LAMBENT_URL", raising=False)
     assert app.run(["doctor", "--data", str(tmp_path), "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
@@ -21,7 +21,7 @@ def test_the_report_has_one_line_per_check_and_machine_readable_rows(tmp_path, c
 
 
 def test_something_that_must_be_fixed_exits_with_one(monkeypatch, capsys, tmp_path):
-    bad = doctor.Check(name="disk", verdict="fail", found="full", advice="free some")
+    bad = doctor.Check(name="disk", verdict="fail", shows="full", advice="free some")
     monkeypatch.setattr(doctor, "examine", lambda url, data: iter([bad]))
     assert app.run(["doctor", "--data", str(tmp_path)]) == 1
     assert "-> free some" in capsys.readouterr().out
@@ -54,13 +54,13 @@ def test_a_full_disk_fails(monkeypatch, tmp_path):
 def test_a_torch_that_crashes_is_reported_and_not_fatal():
     check = doctor.check_gpu("import os; os.abort()")
     assert check.verdict == "fail"
-    assert "does not start" in check.found
+    assert "does not start" in check.shows
 
 
 def test_the_gpu_answer_is_read():
     check = doctor.check_gpu("print('cuda|12.8|NVIDIA X|25769803776')")
     assert check.verdict == "ok"
-    assert "NVIDIA X, 24.0 GiB, CUDA 12.8" in check.found
+    assert "NVIDIA X, 24.0 GiB, CUDA 12.8" in check.shows
 
 
 def test_the_packages_of_the_client_are_all_named_in_its_extra():
@@ -77,5 +77,5 @@ def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setattr(doctor, "version", nothing)
     check = doctor.check_packages("worker")
     assert check.verdict == "warn"
-    assert "torch" in check.found
+    assert "torch" in check.shows
     assert "pictures from bundles" in doctor.check_packages("client").advice

@@ -68,7 +68,7 @@ def test_indirect_light_is_bilinear_between_blocks_and_stays_in_its_chart():
     assert (fine >= near.min(axis=1) - 1e-5).all()
     assert (fine <= near.max(axis=1) + 1e-5).all()
     assert not np.allclose(fine, coarse[lit.coarse])
-    # Charts are two texels apart, so that blocks of one lie beside those of another.
+    # Charts are two texels apart, so that blocks of one are next to those of another.
     first, _ = coarse_blocks(walls.size, walls.texel_index)
     for blocks in scene.blocks_around.T:
         np.testing.assert_array_equal(normals[first[blocks]], normals)

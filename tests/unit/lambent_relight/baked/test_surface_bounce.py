@@ -30,7 +30,7 @@ def test_what_is_linear_on_every_side_of_a_box_stays_linear_between_blocks(block
     around = blocks.around(position, normal, uv)
     assert around.known.all()
     np.testing.assert_allclose(around.weight.sum(axis=1), 1.0, rtol=1e-5)
-    # Inside a side all four blocks are there, each with its first texel in its corner; the outermost go on.
+    # Inside a side all four blocks exist, each with its first texel in its corner; the last are repeated.
     size, place = blocks._scene.transport.size, blocks._scene.transport.texel_index[blocks.texel]
     whole = (place // size % 2 == 0) & (place % size % 2 == 0)
     inside = (around.weight.min(axis=1) > 1e-4) & whole[around.block].all(axis=1)

@@ -1,4 +1,4 @@
-"""What makes a picture the same picture: every input is in its key, and bytes are looked at, not sizes."""
+"""The key of a picture: every input is in its key, and bytes are looked at, not sizes."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What is rendered anew and what is made from the linear picture that was kept; the files are the same."""
+"""Pictures rendered anew, and those made from the kept linear picture; the files are the same."""
 
 import shutil
 
