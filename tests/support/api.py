@@ -2,14 +2,15 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import pytest
 import structlog
 from lambent_server.accounts import organisations
 from lambent_server.app import make_app
@@ -22,6 +23,7 @@ from lambent_server.database.tenancy import DEFAULT_TENANT_ID, Tenant, add_if_ab
 from lambent_server.http.identity import issue_login_code
 from lambent_server.services import Services, open_services
 from starlette.testclient import TestClient
+from support.databases import postgresql
 
 KEY = "lk_of_the_test"
 TENANT = Tenant(DEFAULT_TENANT_ID)
@@ -129,3 +131,20 @@ def opened(data: Path, **settings: Any) -> Iterator[Api]:
             yield Api(services, client, app)
     finally:
         services.database.close()
+
+
+def served(*, scope: Any = "function", databases: Sequence[str] = (), **settings: Any) -> Any:
+    """Return a fixture that yields the interface on an empty data folder, on each of these databases."""
+    marked = [
+        pytest.param(each, marks=pytest.mark.services if each == "postgresql" else ()) for each in databases
+    ]
+
+    @pytest.fixture(scope=scope, params=marked or None)
+    def api(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
+        with ExitStack() as stack:
+            given = dict(settings)
+            if getattr(request, "param", "sqlite") == "postgresql":
+                given["database"] = stack.enter_context(postgresql())
+            yield stack.enter_context(opened(tmp_path_factory.mktemp("api") / "data", **given))
+
+    return api

@@ -13,11 +13,14 @@ from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
 from lambent_server.cluster.certificates import ServerAddress
 from lambent_server.cluster.membership import Membership
 from lambent_server.core.secrets import run_token
+from lambent_server.database.model import JobRow
 from lambent_server.executors import ExecutorAwayError, Gone, Handle, Launch, run_name
 from lambent_server.executors.rooms import LocalRoom
+from lambent_server.jobs.queries import require_job
+from lambent_server.jobs.rows import set_fields
 from lambent_server.running.controller import Controller
 from lambent_server.workers.service import serve_workers
-from support.api import Api, opened
+from support.api import TENANT, Api, opened
 
 SECRET = "secret of the test"
 
@@ -123,6 +126,16 @@ class Stage:
     def job(self, job_id: str) -> dict[str, Any]:
         """Return the job."""
         return dict(self.api.get(f"/v1/jobs/{job_id}").json())
+
+    def row(self, job_id: str) -> JobRow:
+        """Return the row of the job."""
+        with self.api.services.database.read() as connection:
+            return require_job(connection, TENANT, job_id)
+
+    def set(self, job_id: str, **values: Any) -> None:
+        """Change columns of the job."""
+        with self.api.services.database.write() as connection:
+            set_fields(connection, self.row(job_id), **values)
 
     def end(self, exit_code: int | None = None) -> None:
         """End the process that was started last, and let the controller see it."""

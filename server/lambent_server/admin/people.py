@@ -1,5 +1,8 @@
 """`lambent admin user` and `lambent admin key`: people, and keys of programs, of all organisations."""
 
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -99,61 +102,53 @@ def list_users(
     print_rows(shown, ("id", "email", "name", "roles", "last_seen_at", "disabled"), as_json)
 
 
-def _logs_of(connection: Connection, user_id: str) -> list[str]:
-    """Return the organisations whose logs record what happens to a user; "" is the log of the server."""
-    logs = sorted(row.tenant_id for row in users.memberships(connection, user_id))
-    return logs or [audit.SERVER.id]
-
-
-def _record(connection: Connection, logs: list[str], action: str, user_id: str) -> None:
-    for tenant_id in logs:
-        audit.record(connection, operator(Tenant(tenant_id)), action, user_id)
+def _change(
+    done: str, user: str, data: Path | None, database: str | None, act: Callable[[Connection, str], None]
+) -> None:
+    """Do something to a user, and record it in the log of each organisation, or of the server."""
+    with opened(data, database) as services, services.database.write() as connection:
+        user_id = users.require(connection, user).id
+        member_of = sorted(row.tenant_id for row in users.memberships(connection, user_id))
+        act(connection, user_id)
+        for tenant_id in member_of or [audit.SERVER.id]:
+            audit.record(connection, operator(Tenant(tenant_id)), f"user {done.removesuffix('d')}", user_id)
+    typer.echo(f"{user_id} {done}")
 
 
 @app.command()
 def disable(user: UserArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
     """Sign a user out everywhere and refuse further sign-ins; the user's keys stop working."""
-    with opened(data, database) as services, services.database.write() as connection:
-        row = users.require(connection, user)
-        users.change_user(connection, row.id, disabled_at=now())
-        users.end_sessions(connection, row.id)
-        users.revoke_keys(connection, row.id)
-        _record(connection, _logs_of(connection, row.id), "user disable", row.id)
-    typer.echo(f"{row.id} disabled")
+
+    def end(connection: Connection, user_id: str) -> None:
+        users.change_user(connection, user_id, disabled_at=now())
+        users.end_sessions(connection, user_id)
+        users.revoke_keys(connection, user_id)
+
+    _change("disabled", user, data, database, end)
 
 
 @app.command()
 def enable(user: UserArgument, data: DataOption = None, database: DatabaseOption = None) -> None:
     """Let a disabled user sign in again; keys stay revoked."""
-    with opened(data, database) as services, services.database.write() as connection:
-        row = users.require(connection, user)
-        users.change_user(connection, row.id, disabled_at=None)
-        _record(connection, _logs_of(connection, row.id), "user enable", row.id)
-    typer.echo(f"{row.id} enabled")
+    _change("enabled", user, data, database, partial(users.change_user, disabled_at=None))
 
 
 @app.command()
 def delete(
-    user: UserArgument,
-    yes: YesOption = False,
-    data: DataOption = None,
-    database: DatabaseOption = None,
+    user: UserArgument, yes: YesOption = False, data: DataOption = None, database: DatabaseOption = None
 ) -> None:
     """Delete a user: name, address, sessions and keys. What the user made stays with the organisation.
 
     The audit log keeps the id, which then identifies no one.
     """
-    with opened(data, database) as services, services.database.write() as connection:
+    if yes:
+        _change("deleted", user, data, database, users.forget)
+        return
+    with opened(data, database) as services, services.database.read() as connection:
         row = users.require(connection, user)
-        member_of = sorted(row.tenant_id for row in users.memberships(connection, row.id))
-        if not yes:
-            typer.echo(f"{row.id} {row.name} {row.email or ''} of {', '.join(member_of)}")
-            typer.echo("nothing was changed: add --yes", err=True)
-            return
-        logs = _logs_of(connection, row.id)
-        users.forget(connection, row.id)
-        _record(connection, logs, "user delete", row.id)
-    typer.echo(f"{row.id} deleted")
+        member_of = sorted(each.tenant_id for each in users.memberships(connection, row.id))
+    typer.echo(f"{row.id} {row.name} {row.email or ''} of {', '.join(member_of)}")
+    typer.echo("nothing was changed: add --yes", err=True)
 
 
 @keys_app.command("create")

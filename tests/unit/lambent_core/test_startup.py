@@ -1,4 +1,4 @@
-"""How many cores a process uses."""
+"""The number of cores that a process uses."""
 
 import os
 import signal

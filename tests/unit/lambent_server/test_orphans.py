@@ -6,10 +6,6 @@ from typing import Any
 
 import pytest
 from lambent_proto.v1 import worker_pb2
-from lambent_server.database.model import JobRow
-from lambent_server.jobs.queries import require_job
-from lambent_server.jobs.rows import set_fields
-from support.api import TENANT
 from support.runs import Others, Stage, staged
 
 
@@ -33,27 +29,13 @@ def travel(stage: Stage, seconds: float) -> None:
 
 def give_away(stage: Stage, job: str, **handle: Any) -> None:
     """Make a run one of another server."""
-    found = {
-        "pid": 7,
-        "run": "x",
-        "identity": "x",
-        "server": "server_there",
-        "host": "there",
-        "gpus": [],
-        **handle,
-    }
-    with stage.api.services.database.write() as connection:
-        set_fields(connection, require_job(connection, TENANT, job), handle=found)
-
-
-def row(stage: Stage, job: str) -> JobRow:
-    with stage.api.services.database.read() as connection:
-        return require_job(connection, TENANT, job)
+    found = {"pid": 7, "run": "x", "identity": "x", "server": "server_there", "host": "there", "gpus": []}
+    stage.set(job, handle={**found, **handle})
 
 
 def test_a_handle_says_who_has_started_the_run_and_where(stage: Stage):
     job = stage.start()
-    found = row(stage, job).handle
+    found = stage.row(job).handle
     assert {name: found[name] for name in ("executor", "host", "server")} == {
         "executor": "local",
         "host": "here",
@@ -85,7 +67,7 @@ def test_only_the_leader_judges_runs_of_a_dead_server(stage: Stage):
     assert stage.job(job)["run"] == 1
     travel(stage, 2.0)
     assert stage.job(job)["run"] == 2
-    assert row(stage, job).handle["server"] == "server_here"
+    assert stage.row(job).handle["server"] == "server_here"
 
 
 def test_a_run_that_reports_is_alive_whoever_is_dead(stage: Stage):
@@ -181,7 +163,7 @@ def test_what_others_run_takes_none_of_our_slots_and_gpus(tmp_path: Path):
         give_away(stage, first, gpus=[0])
         others(stage).alive.add("server_there")
         second = stage.start(gpus=1)
-        assert row(stage, second).handle["gpus"] == [0]
+        assert stage.row(second).handle["gpus"] == [0]
 
 
 def test_a_server_without_slots_starts_nothing(tmp_path: Path):
@@ -194,7 +176,7 @@ def test_a_server_without_slots_starts_nothing(tmp_path: Path):
 def test_a_judgement_that_comes_too_late_has_no_effect(stage: Stage, monkeypatch: pytest.MonkeyPatch):
     job = stage.start()
     give_away(stage, job)
-    seen = row(stage, job)
+    seen = stage.row(job)
     travel(stage, 61.0)
     assert stage.job(job)["run"] == 2
     from lambent_server.executors import Gone

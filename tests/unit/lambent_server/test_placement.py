@@ -3,17 +3,8 @@
 from pathlib import Path
 
 import pytest
-from lambent_server.database.model import JobRow
 from lambent_server.executors import ExecutorAwayError, Handle, Launch
-from lambent_server.jobs.queries import require_job
-from lambent_server.jobs.rows import set_fields
-from support.api import TENANT
-from support.runs import FakeExecutor, Others, Stage, staged
-
-
-def row_of(stage: Stage, job_id: str) -> JobRow:
-    with stage.api.services.database.read() as connection:
-        return require_job(connection, TENANT, job_id)
+from support.runs import FakeExecutor, Others, staged
 
 
 def test_a_run_that_cannot_be_placed_goes_back_to_the_queue_and_says_why(tmp_path: Path):
@@ -25,10 +16,9 @@ def test_a_run_that_cannot_be_placed_goes_back_to_the_queue_and_says_why(tmp_pat
         told = stage.api.get(f"/v1/jobs/{job}/events").json()["items"][-1]["message"]
         assert told == "not placed: no node had room; back in the queue in 3600 s"
         stage.executor.not_placed = ""
-        with stage.api.services.database.write() as connection:
-            set_fields(connection, row_of(stage, job), retry_at=0.0)
+        stage.set(job, retry_at=0.0)
         stage.controller.turn()
-        found = row_of(stage, job)
+        found = stage.row(job)
         assert (found.state, found.run, found.failures, found.losses) == ("running", 2, 0, 0)
 
 
@@ -52,7 +42,7 @@ def test_an_order_that_the_cluster_does_not_take_is_no_failure(
         monkeypatch.setattr(FakeExecutor, "start", refuse)
         stage.controller.turn()
         assert stage.job(job)["state"] == "retry_wait"
-        assert row_of(stage, job).handle is None
+        assert stage.row(job).handle is None
 
 
 def test_while_the_cluster_is_away_a_run_counts_by_what_it_says_itself(tmp_path: Path):
@@ -79,13 +69,12 @@ def test_a_run_on_shared_nodes_is_taken_over_from_a_server_that_died(
     with staged(tmp_path, lost_after_s=60.0) as stage:
         job = stage.start()
         stage.controller._members = Others(leads=leads)
-        found = row_of(stage, job)
-        with stage.api.services.database.write() as connection:
-            set_fields(connection, found, handle={**found.handle, "server": "server_there"})
+        found = stage.row(job)
+        stage.set(job, handle={**found.handle, "server": "server_there"})
         stage.executor.adopts = adopts
         stage.controller.turn()
         expected = "server_here" if adopts else "server_there"
-        assert row_of(stage, job).handle == {**found.handle, "server": expected}
+        assert stage.row(job).handle == {**found.handle, "server": expected}
         assert stage.job(job)["run"] == 1
 
 

@@ -1,4 +1,4 @@
-"""How a server is set up before it answers."""
+"""The set-up of a server before it answers."""
 
 import asyncio
 import os

@@ -1,20 +1,15 @@
 """JSON bodies: what they must say of themselves, and that every route reads them in one way."""
 
-from collections.abc import Iterator
-
 import pytest
 from fastapi import APIRouter
 from lambent_server.api.json_bodies import StrictRoute, require_strict
 from lambent_server.api.messages import NewScene
-from support.api import Api, expect, expect_problem, opened
+from support.api import Api, expect, expect_problem, served
 
 BODY = b'{"name": "a"}'
 
 
-@pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    with opened(tmp_path_factory.mktemp("api") / "data") as api:
-        yield api
+api = served(scope="module")
 
 
 @pytest.mark.parametrize(

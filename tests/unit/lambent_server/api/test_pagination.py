@@ -1,7 +1,6 @@
 """Lists of scenes and bundles, page by page, and how long a job is likely to take."""
 
 import base64
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -9,15 +8,11 @@ import pytest
 from lambent_server.core.clock import now
 from lambent_server.database.schema import artifacts, jobs
 from lambent_server.database.tenancy import add, change
-from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
+from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, served
 from support.databases import postgresql
 from support.server_rows import add_bundle
 
-
-@pytest.fixture
-def api(tmp_path: Path) -> Iterator[Api]:
-    with opened(tmp_path / "data") as api:
-        yield api
+api = served()
 
 
 def test_scenes_are_listed_newest_first_page_by_page(api: Api):

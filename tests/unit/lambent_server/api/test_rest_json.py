@@ -1,4 +1,4 @@
-"""What REST shows of a message equals the message."""
+"""Messages as REST shows them: equal to the message."""
 
 import json
 from typing import Any

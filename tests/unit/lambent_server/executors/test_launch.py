@@ -1,4 +1,4 @@
-"""What a run is told when it is started, as the run understands it."""
+"""The contents of LAMBENT_RUN, as a run understands them."""
 
 import json
 from dataclasses import fields

@@ -192,7 +192,7 @@ def test_room_is_what_runs_and_others_leave(tmp_path: Path):
     assert executor.room([HANDLE], [waiting, waiting]).most_gpus() == 0
     cluster.available = {"CPU": 0.5}
     assert executor.room([HANDLE], []).most_gpus() is None
-    # The largest node may be away.
+    # The largest node may be unavailable.
     cluster.nodes = NODES[:1]
     assert executor.max_gpus() == 4
 

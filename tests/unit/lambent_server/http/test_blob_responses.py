@@ -1,7 +1,6 @@
-"""What is sent of a file of which the server has a compressed copy, and to whom."""
+"""Responses with a file of which the server has a compressed copy."""
 
 import gzip
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,7 @@ from lambent_server.database.schema import bundle_files
 from lambent_server.http.blob_responses import parse_range
 from lambent_server.maintenance.compression import Compressor
 from sqlalchemy import select
-from support.api import TENANT, Api, opened, sha256
+from support.api import TENANT, Api, served, sha256
 from support.server_rows import add_bundle
 
 PLANES = bytes(range(200)) * 400
@@ -19,10 +18,7 @@ OWN, PACKED = f'"{sha256(PLANES)}"', f'"{sha256(PLANES)}-gzip"'
 SITE = "https://shop.example"
 
 
-@pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    with opened(tmp_path_factory.mktemp("api") / "data") as api:
-        yield api
+api = served(scope="module")
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""How many requests of a kind one client, one tenant and all together may have in progress."""
+"""Limits of the requests of a kind that one client, one tenant and all together have in progress."""
 
 from pathlib import Path
 

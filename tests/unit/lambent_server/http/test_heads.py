@@ -1,22 +1,17 @@
 """HEAD is answered as GET, without a body, and with the whole of its headers."""
 
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
 from lambent_server.app import describe
-from support.api import Api, expect_problem, opened
+from support.api import Api, expect_problem, served
 from support.one_of_each import one_of_each
 
 # These say something new each time.
 CHANGING = ("content-length", "x-request-id", "etag", "date")
 
 
-@pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    with opened(tmp_path_factory.mktemp("api") / "data") as api:
-        yield api
+api = served(scope="module")
 
 
 def test_head_has_the_headers_of_get_for_every_operation(api: Api, tmp_path: Path):

@@ -97,15 +97,16 @@ def test_a_proxy_of_another_machine_and_one_that_names_nobody_need_none(tmp_path
 
 
 @pytest.mark.parametrize(
-    "text", ["", "short", "a tab \t in a secret of twenty", "two lines\nof twenty characters"]
+    ("text", "reason"),
+    [
+        *(
+            (text, "at least 20")
+            for text in ("", "short", "a tab \t in a secret of twenty", "two lines\n" * 3)
+        ),
+        (None, "nothing cannot be read"),
+    ],
 )
-def test_a_file_without_a_secret_is_refused(tmp_path: Path, text: str):
-    settings = Settings(data=tmp_path, **with_secret(tmp_path, text))
-    with pytest.raises(ServeError, match=r"^serve\.login_secret_invalid: .*at least 20"):
-        login_secret(settings)
-
-
-def test_a_file_that_cannot_be_read_is_named(tmp_path: Path):
-    settings = Settings(data=tmp_path, login_secret_file=tmp_path / "nothing")
-    with pytest.raises(ServeError, match=r"^serve\.login_secret_invalid: .*nothing cannot be read"):
-        login_secret(settings)
+def test_a_file_without_a_secret_is_refused(tmp_path: Path, text: str | None, reason: str):
+    given = {"login_secret_file": tmp_path / "nothing"} if text is None else with_secret(tmp_path, text)
+    with pytest.raises(ServeError, match=rf"^serve\.login_secret_invalid: .*{reason}"):
+        login_secret(Settings(data=tmp_path, **given))

@@ -1,8 +1,7 @@
-"""Who gets in, from where, with how much: the layer around every request."""
+"""The layer around every request: identity, origin and size."""
 
 import gzip
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from lambent_server.http.identity import COOKIE, issue_login_code, redeem_login_
 from sqlalchemy.exc import OperationalError
 from starlette.responses import Response
 from starlette.testclient import TestClient
-from support.api import KEY, STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, sha256
+from support.api import KEY, STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, served, sha256
 
 CSRF = {"x-lambent-csrf": "1"}
 
@@ -27,10 +26,7 @@ CSRF = {"x-lambent-csrf": "1"}
 PUBLIC = ("/v1/login", "/v1/sign-in", "/v1/sign-in/callback")
 
 
-@pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    with opened(tmp_path_factory.mktemp("api") / "data", max_json_bytes=2000) as api:
-        yield api
+api = served(scope="module", max_json_bytes=2000)
 
 
 def log_in(api: Api):

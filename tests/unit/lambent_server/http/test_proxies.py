@@ -1,4 +1,4 @@
-"""What proxies say of their clients, and from whom that is believed."""
+"""Headers of proxies about their clients, and the proxies that are trusted."""
 
 from pathlib import Path
 from typing import Any

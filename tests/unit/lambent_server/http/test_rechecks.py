@@ -11,7 +11,7 @@ OTHER = Who(tenant=Tenant("other"), kind="key", id="key_2", scopes=frozenset({"r
 
 
 class Clock:
-    """A clock that stands until it is moved, and what was asked by it."""
+    """A clock that stands until it is moved, and the number of look-ups."""
 
     def __init__(self) -> None:
         self.at = 100.0

@@ -66,18 +66,14 @@ class Wire:
         return json.loads(self.sent[1]["body"])["code"]
 
 
-def test_a_body_too_slow_for_a_window_is_cut_off_with_the_reason(api: Api):
-    wire = Wire(api, [(0.1, 2)] * 20)
+@pytest.mark.parametrize("pieces", [[(0.1, 2)] * 20, [(0.0, 1), (100.0, 1)]])
+def test_a_body_that_is_too_slow_or_stops_is_cut_off_with_the_reason(
+    api: Api, pieces: list[tuple[float, int]]
+):
+    wire = Wire(api, pieces)
     assert asyncio.run(wire.read()) == -1
     assert (wire.sent[0]["status"], wire.code) == (408, "body_too_slow")
     assert (b"connection", b"close") in wire.sent[0]["headers"]
-
-
-def test_a_body_that_never_goes_on_is_cut_off(api: Api):
-    wire = Wire(api, [(0.0, 1)])
-    wire.pieces.append((100.0, 1))
-    assert asyncio.run(wire.read()) == -1
-    assert wire.code == "body_too_slow"
 
 
 def test_bodies_that_began_together_are_not_cut_off_together_and_none_too_early(

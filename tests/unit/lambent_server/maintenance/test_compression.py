@@ -1,4 +1,4 @@
-"""Which files of bundles get a compressed copy, when, and when it goes."""
+"""Compressed copies of bundles' files: which are made, when, and when they are removed."""
 
 import gzip
 import os
@@ -16,7 +16,7 @@ from lambent_server.maintenance.housekeeping import sweep
 from lambent_server.running.reconciler import reconcile
 from lambent_server.storage.store import LOST
 from sqlalchemy import select
-from support.api import STRANGER, Api, expect, opened, sha256
+from support.api import STRANGER, Api, expect, opened, served, sha256
 from support.live_server import wait_until
 from support.server_rows import add_bundle
 
@@ -25,10 +25,7 @@ NOISE = os.urandom(50_000)
 OLD = time.time() - 2 * 86400
 
 
-@pytest.fixture
-def api(tmp_path: Path) -> Iterator[Api]:
-    with opened(tmp_path / "data", garbage_after_s=0.001) as api:
-        yield api
+api = served(garbage_after_s=0.001)
 
 
 def compress(api: Api) -> int:

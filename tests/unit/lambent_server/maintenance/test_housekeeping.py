@@ -1,4 +1,4 @@
-"""Which bytes are swept away, and whose stay."""
+"""Bytes that are swept away, and bytes that stay."""
 
 import time
 from collections.abc import Iterator

@@ -17,7 +17,7 @@ from lambent_server.database.tenancy import Tenant
 from lambent_server.receiving.uploads import allowance_of, received
 from lambent_server.services import Services
 from lambent_server.storage import archives
-from support.api import STRANGER, STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, sha256
+from support.api import STRANGER, STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, served, sha256
 from support.archives import make_zip
 from support.databases import postgresql
 
@@ -246,7 +246,4 @@ def test_quotas_of_organisations_count_and_not_only_those_of_the_settings(api_of
     expect_problem(other.post(f"/v1/scenes/{scene}/files:plan", json=plan), 507, "quota_bytes")
 
 
-@pytest.fixture
-def api_of(tmp_path: Path, database: dict[str, str]) -> Iterator[Api]:
-    with opened(tmp_path / "data", **database) as api:
-        yield api
+api_of = served(databases=("sqlite", "postgresql"))

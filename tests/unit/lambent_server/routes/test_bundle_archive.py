@@ -14,15 +14,11 @@ from lambent_relight import load_bundle
 from lambent_server.bundles.file_routes import get_bundle_archive
 from lambent_server.database.schema import bundle_files, scenes
 from lambent_server.database.tenancy import change
-from support.api import STRANGER_KEY, TENANT, Api, expect_problem, opened, sha256
+from support.api import STRANGER_KEY, TENANT, Api, expect_problem, served, sha256
 from support.baked_bundle import write_baked_bundle
 from support.server_rows import add_bundle
 
-
-@pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    with opened(tmp_path_factory.mktemp("api") / "data") as api:
-        yield api
+api = served(scope="module")
 
 
 @pytest.fixture(scope="module")

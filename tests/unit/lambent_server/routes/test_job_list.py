@@ -1,6 +1,5 @@
 """Lists of jobs: searched, narrowed, in both orders, and quick among thousands."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +10,12 @@ from lambent_server.database.tenancy import change
 from lambent_server.jobs import queries as job_queries
 from lambent_server.jobs.pages import Wanted
 from sqlalchemy import event
-from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
+from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, served
 
 NAME = "Ährenblüte ΟΔΟΣΑ"
 
 
-@pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    with opened(tmp_path_factory.mktemp("api") / "data", max_queued_jobs=1000) as api:
-        yield api
+api = served(scope="module", max_queued_jobs=1000)
 
 
 @pytest.fixture(scope="module")

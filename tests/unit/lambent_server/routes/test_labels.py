@@ -1,21 +1,15 @@
 """Labels of jobs, scenes and bundles: changed by merging, found by lists; and the turn of a waiting job."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
 from lambent_proto import BUNDLE_VERSION
 from lambent_server.jobs.rows import RUNNING, move
-from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened
+from support.api import STRANGER_KEY, TENANT, Api, expect, expect_problem, opened, served
 from support.runs import staged
 from support.server_rows import add_bundle
 
-
-@pytest.fixture
-def api(tmp_path: Path) -> Iterator[Api]:
-    with opened(tmp_path / "data") as api:
-        yield api
+api = served()
 
 
 def found(api: Api, kind: str, *labels: str) -> list[str]:

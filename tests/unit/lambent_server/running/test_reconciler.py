@@ -1,24 +1,20 @@
-"""What kills and failing disks leave behind is found: bytes without rows, rows without bytes."""
+"""Leftovers of kills and failing disks: bytes without rows, rows without bytes."""
 
 import errno
 import os
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from lambent_server.maintenance.housekeeping import sweep
 from lambent_server.running.reconciler import Reconciler, examine, note_key_uses, reconcile
-from support.api import TENANT, Api, expect, opened, sha256
+from support.api import TENANT, Api, expect, opened, served, sha256
 
 OLD = time.time() - 2 * 86400
 CONTENT = b"{}"
 
 
-@pytest.fixture
-def api(tmp_path: Path) -> Iterator[Api]:
-    with opened(tmp_path / "data") as api:
-        yield api
+api = served()
 
 
 def blob(api: Api, content: bytes) -> Path:

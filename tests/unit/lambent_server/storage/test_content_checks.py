@@ -1,11 +1,9 @@
 """Bytes that have changed in the store: never served, asked for again, and repaired by an ordinary upload."""
 
-import contextlib
 import gzip
 import os
 import time
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,17 +13,12 @@ from lambent_server.storage import content_checks
 from lambent_server.storage.content_checks import BLOBS, DAMAGED, GZIP
 from lambent_server.storage.store import BlobStore
 from sqlalchemy import text
-from support.api import Api, expect, expect_problem, opened, sha256
-from support.databases import postgresql
+from support.api import Api, expect, expect_problem, opened, served, sha256
 
 PICTURE = bytes(range(256)) * 4096
 
 
-@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.services)])
-def api(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Api]:
-    with contextlib.ExitStack() as stack:
-        given = {} if request.param == "sqlite" else {"database": stack.enter_context(postgresql())}
-        yield stack.enter_context(opened(tmp_path / "data", scrub_every_s=3600.0, **given))
+api = served(databases=("sqlite", "postgresql"), scrub_every_s=3600.0)
 
 
 def path_of(api: Api, digest: str, folder: str = BLOBS) -> Path:

@@ -1,4 +1,4 @@
-"""Which errors are outages: the same request may succeed later, and no traceback is logged."""
+"""Errors that are outages: the same request may succeed later, and no traceback is logged."""
 
 import contextlib
 import errno

@@ -1,9 +1,6 @@
 """Room for files that may be sent to a bucket: it counts until they are stored or can no longer be sent."""
 
-import contextlib
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 from lambent_server.accounts import quotas
@@ -13,16 +10,15 @@ from lambent_server.database.tenancy import add
 from lambent_server.maintenance.housekeeping import sweep
 from lambent_server.services import Services
 from lambent_server.storage import reservations
-from support.api import STRANGER, TENANT, opened, sha256
-from support.databases import postgresql
+from support.api import STRANGER, TENANT, Api, served, sha256
+
+LIMITS = {"max_organisation_bytes": 1000, "store_reserved_s": 100.0, "store_url_s": 50.0}
+api = served(databases=("sqlite", "postgresql"), **LIMITS)
 
 
-@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.services)])
-def services(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Services]:
-    with contextlib.ExitStack() as stack:
-        given = {} if request.param == "sqlite" else {"database": stack.enter_context(postgresql())}
-        limits = {"max_organisation_bytes": 1000, "store_reserved_s": 100.0, "store_url_s": 50.0}
-        yield stack.enter_context(opened(tmp_path / "data", **limits, **given)).services
+@pytest.fixture
+def services(api: Api) -> Services:
+    return api.services
 
 
 def reserve(services: Services, name: str, size: int, *, refuse: bool = True) -> None:
