@@ -1,1 +1,1 @@
-"""Who may do what, how much of it, and what was done: organisations, users, scopes, quotas, audit log."""
+"""Organisations, users and keys: their scopes, quotas and audit log."""

@@ -41,7 +41,7 @@ class Verdict:
     number: int
     """Of the newest entry; 0 if there never was one."""
     hash: str
-    """Of the newest entry. Note it elsewhere: somebody who can rewrite the database can rewrite a chain."""
+    """Of the newest entry. Note it elsewhere: a person who can rewrite the database can rewrite a chain."""
     problem: str = ""
     """What is wrong with which entry; "" if nothing is."""
 
@@ -106,8 +106,8 @@ def _require_open(connection: Connection, who: Who) -> None:
     if who.tenant == SERVER:
         return
     closed_at = rows(who.tenant, organisation_rows, organisation_rows.c.closed_at)
-    found = connection.execute(closed_at).one_or_none()
-    if found is None or (found[0] is not None and who.kind != "operator"):
+    row = connection.execute(closed_at).one_or_none()
+    if row is None or (row[0] is not None and who.kind != "operator"):
         raise Problem(
             401,
             "not_authenticated",
@@ -119,12 +119,12 @@ def _require_open(connection: Connection, who: Who) -> None:
 def _lock_head(connection: Connection, tenant: Tenant) -> AuditHeadRow:
     """Return the head of a chain, locked until the end of the transaction; made if there is none."""
     statement = rows(tenant, audit_heads).with_for_update()
-    found = one(connection, statement, AuditHeadRow)
-    if found is None:
+    head = one(connection, statement, AuditHeadRow)
+    if head is None:
         empty = {"number": 0, "hash": "", "removed_number": 0, "removed_hash": ""}
         add_if_absent(connection, tenant, audit_heads, **empty)
-        (found,) = many(connection, statement, AuditHeadRow)
-    return found
+        (head,) = many(connection, statement, AuditHeadRow)
+    return head
 
 
 def _digest(before: str, tenant: Tenant, entry: Mapping[str, Any]) -> str:
@@ -161,11 +161,11 @@ def entries(connection: Connection, tenant: Tenant) -> Iterator[AuditRow]:
     last = ""
     while True:
         some = rows(tenant, audit_entries).where(audit_entries.c.id > last).order_by(audit_entries.c.id)
-        found = many(connection, some.limit(_BATCH), AuditRow)
-        if not found:
+        batch = many(connection, some.limit(_BATCH), AuditRow)
+        if not batch:
             return
-        yield from found
-        last = found[-1].id
+        yield from batch
+        last = batch[-1].id
 
 
 def num_before(connection: Connection, tenant: Tenant, before: float) -> int:
@@ -219,5 +219,5 @@ def contains(connection: Connection, tenant: Tenant, noted: str) -> bool:
 
 def tenants(connection: Connection) -> list[Tenant]:
     """Return the organisations that have a log, the server's own among them."""
-    found = connection.execute(select(audit_heads.c.tenant_id).order_by(audit_heads.c.tenant_id))
-    return [Tenant(tenant_id) for tenant_id in found.scalars()]
+    ids = connection.execute(select(audit_heads.c.tenant_id).order_by(audit_heads.c.tenant_id))
+    return [Tenant(tenant_id) for tenant_id in ids.scalars()]

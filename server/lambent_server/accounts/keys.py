@@ -52,7 +52,7 @@ class Key(Shown):
     scopes: list[ScopeName]
     """What it may do."""
     user_id: str | None
-    """Whose key it is; null: nobody's in particular."""
+    """Whose key it is; null: it belongs to no user."""
     made_by: str | None
     """The user or the key that made it, with whom it ends; null: the server, or an operator."""
 

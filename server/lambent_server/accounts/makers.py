@@ -1,4 +1,4 @@
-"""What whoever made something may do now: keys, links, subscriptions and webhooks of jobs end with them."""
+"""The makers of keys, links, subscriptions and webhooks of jobs, which end with them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -96,26 +96,26 @@ def with_user(statement: Select[Any], table: Table) -> Select[Any]:
 
 def keys_made_by(connection: Connection, tenant: Tenant, key_id: str) -> list[str]:
     """Return the ids of the keys that a key has made, those that these have made, and so on."""
-    found: list[str] = []
+    made_keys: list[str] = []
     last = [key_id]
     while last:
         made = rows(tenant, api_keys, api_keys.c.id).where(
-            api_keys.c.maker_key_id.in_(last), api_keys.c.id.not_in([key_id, *found])
+            api_keys.c.maker_key_id.in_(last), api_keys.c.id.not_in([key_id, *made_keys])
         )
         last = list(connection.execute(made).scalars())
-        found += last
-    return found
+        made_keys += last
+    return made_keys
 
 
 def makers_of_key(connection: Connection, tenant: Tenant, key_id: str) -> list[str]:
     """Return the ids of the key that made a key, of the one that made that, and so on."""
-    found: list[str] = []
+    makers: list[str] = []
     current: str | None = key_id
-    while current is not None and current not in found:
-        found.append(current)
+    while current is not None and current not in makers:
+        makers.append(current)
         maker = rows(tenant, api_keys, api_keys.c.maker_key_id).where(api_keys.c.id == current)
         current = connection.execute(maker).scalar_one_or_none()
-    return found[1:]
+    return makers[1:]
 
 
 def end_what_was_made(connection: Connection, user_id: str, tenant: Tenant | None = None) -> None:
@@ -146,7 +146,7 @@ def _end(connection: Connection, table: Table, made: ColumnElement[bool]) -> Non
     if table is shares:
         connection.execute(update(shares).where(made).values(revoked_at=now()))
         return
-    # As if somebody had disabled it: what waits to be delivered has failed.
+    # As if a person had disabled it: deliveries that wait have failed.
     waiting = webhook_deliveries.c.webhook_id.in_(select(webhooks.c.id).where(made))
     failed = {"state": "failed", "next_at": None, "claim": None, "ended_at": now()}
     connection.execute(

@@ -44,7 +44,7 @@ _LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
 class SignInError(Exception):
-    """A sign-in that cannot go on; the code is stable, the message is for the log."""
+    """A sign-in that fails; the code is stable, the message is for the log."""
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(message)
@@ -77,7 +77,7 @@ class Provider:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        # Of requests for the two below. What is known is read without it, also while somebody asks again.
+        # For requests of the two below; what is known is read without it, also while it is being read again.
         self._asking = threading.Lock()
         self._description: tuple[Description, float] | None = None
         self._keys: tuple[Any, float] | None = None
@@ -91,8 +91,8 @@ class Provider:
             with self._asking:
                 known = self._description
                 if known is None or known[1] < time.monotonic():
-                    found = self._once_in_a_while(self._read_description)
-                    known = self._description = found, time.monotonic() + DESCRIPTION_S
+                    description = self._once_in_a_while(self._read_description)
+                    known = self._description = description, time.monotonic() + DESCRIPTION_S
         return known[0]
 
     def _once_in_a_while(self, ask: Callable[[], T]) -> T:
@@ -119,9 +119,9 @@ class Provider:
 
     def _read_description(self) -> Description:
         issuer = self._settings.oidc_issuer or ""
-        found = self._get(f"{issuer.rstrip('/')}/.well-known/openid-configuration")
+        document = self._get(f"{issuer.rstrip('/')}/.well-known/openid-configuration")
         try:
-            description = Description.model_validate(found)
+            description = Description.model_validate(document)
         except ValidationError as error:
             raise SignInError("provider_invalid", f"{issuer} does not describe itself: {error}") from error
         if description.issuer != issuer:
@@ -163,10 +163,10 @@ class Provider:
             given["auth"] = (client_id, secret)
         elif secret is not None:
             form["client_secret"] = secret
-        found = self._request("POST", description.token_endpoint, data=form, **given)
-        if not isinstance(found.get("id_token"), str):
+        tokens = self._request("POST", description.token_endpoint, data=form, **given)
+        if not isinstance(tokens.get("id_token"), str):
             raise SignInError("provider_invalid", "the provider gave no ID token")
-        return Tokens(id_token=found["id_token"], access_token=str(found.get("access_token", "")))
+        return Tokens(id_token=tokens["id_token"], access_token=str(tokens.get("access_token", "")))
 
     def _secret(self) -> str | None:
         path = self._settings.oidc_client_secret_file
@@ -216,17 +216,17 @@ class Provider:
             with self._asking:
                 known = self._keys
                 if known is None or time.monotonic() - known[1] > longest_s:
-                    found = self._once_in_a_while(lambda: self._read_keys(address))
-                    known = self._keys = found, time.monotonic()
+                    fresh = self._once_in_a_while(lambda: self._read_keys(address))
+                    known = self._keys = fresh, time.monotonic()
         return known[0]
 
     def _read_keys(self, address: str) -> Any:
         from joserfc import jwk
         from joserfc.errors import JoseError
 
-        found: Any = self._get(address)
+        document: Any = self._get(address)
         try:
-            return jwk.KeySet.import_key_set(found)
+            return jwk.KeySet.import_key_set(document)
         except (JoseError, ValueError, KeyError, TypeError) as error:
             raise SignInError("provider_invalid", f"{address} has no keys: {error!r}") from error
 
@@ -242,13 +242,13 @@ class Provider:
         try:
             with httpx2.Client(timeout=TIMEOUT_S, verify=context, follow_redirects=False) as client:
                 response = client.request(method, address, headers={"accept": "application/json"}, **given)
-                found = response.json()
+                document = response.json()
         except (httpx2.HTTPError, ValueError) as error:
             raise SignInError("provider_unavailable", f"{address}: {type(error).__name__}") from error
-        if response.status_code != 200 or not isinstance(found, dict):
-            code = found.get("error", "") if isinstance(found, dict) else ""
+        if response.status_code != 200 or not isinstance(document, dict):
+            code = document.get("error", "") if isinstance(document, dict) else ""
             raise SignInError("provider_refused", f"{address} answers {response.status_code} {code}")
-        return found
+        return document
 
 
 def _require_safe(address: str) -> None:

@@ -1,4 +1,4 @@
-"""What an organisation may use: bytes, unfinished jobs, GPU minutes of a month.
+"""Quotas of an organisation: bytes, unfinished jobs, GPU minutes of a month.
 
 Each is checked in the transaction that uses it, and while it is checked no other transaction of the
 organisation can: concurrent requests never pass a limit together.

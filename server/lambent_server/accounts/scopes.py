@@ -1,4 +1,4 @@
-"""What a key or a person may do, and what the roles of people stand for."""
+"""Scopes, which say what a key or a person may do, and the roles of people, which are sets of them."""
 
 from collections.abc import Iterable
 from typing import Literal, get_args

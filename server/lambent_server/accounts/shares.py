@@ -60,7 +60,7 @@ def create(
 ) -> ShareRow:
     """Add a link to a bundle of `tenant`; pages of the origins `frame_ancestors` may show it.
 
-    It works while its `maker` may share. Raises ValueError where one of these is no origin.
+    It works while its `maker` may share. Raises ValueError unless each of these is an origin.
     """
     identifier = share_id or new_id("share")
     values = {"id": identifier, "bundle_id": bundle_id, "created_at": now(), "expires_at": now() + lifetime_s}
@@ -137,5 +137,5 @@ def frame_ancestors(row: ShareRow) -> list[str]:
 
 def is_named_by_a_link(connection: Connection, bundle_id: str, origin: str) -> bool:
     """Return whether a link, active or ended, names an origin whose pages may show a bundle."""
-    found = many(connection, across_tenants(shares).where(shares.c.bundle_id == bundle_id), ShareRow)
-    return any(origin in frame_ancestors(row) for row in found)
+    links = many(connection, across_tenants(shares).where(shares.c.bundle_id == bundle_id), ShareRow)
+    return any(origin in frame_ancestors(row) for row in links)

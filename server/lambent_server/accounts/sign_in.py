@@ -1,4 +1,4 @@
-"""Whether somebody whom a provider or proxy vouches for gets in, and into which organisations."""
+"""Admission of people whom a provider or proxy vouches for, and the organisations they get into."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ PROXY = "proxy"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Vouched:
-    """Somebody, as far as the one who vouches knows."""
+    """A person, as far as the one who vouches knows."""
 
     issuer: str
     subject: str
@@ -59,7 +59,7 @@ def of_proxy(name: str, groups: str | None, settings: Settings) -> Vouched:
     """Return whom the headers of a proxy describe: a name, and organisations separated by commas.
 
     Where the settings name a header for these, its absence says that there are none: a proxy leaves it out,
-    or empty, for somebody who has lost the last group.
+    or empty, for a person who has lost the last group.
     """
     roles = None
     if settings.login_organisations_header is not None:
@@ -83,12 +83,12 @@ def roles_of(values: list[str], role: str) -> dict[str, str]:
 
     Where it names one with several roles, that which may most.
     """
-    found: dict[str, str] = {}
+    roles: dict[str, str] = {}
     for value in values:
         name, _, own = value.partition(":")
         if name and (not own or own in ROLES):
-            found[name] = max(found.get(name, _ORDER[0]), own or role, key=_ORDER.index)
-    return found
+            roles[name] = max(roles.get(name, _ORDER[0]), own or role, key=_ORDER.index)
+    return roles
 
 
 def _texts(value: Any) -> list[str]:

@@ -83,9 +83,9 @@ def _head(connection: Connection, row: ShareRow, base: str) -> str:
 def _picture(connection: Connection, row: ShareRow) -> Blob | None:
     """Return the picture of a link's bundle, or None."""
     bundle_id = row.bundle_id
-    found = pictures(connection, Tenant(row.tenant_id), [bundle_id], LARGE_FIRST).get(bundle_id)
-    if found is None:
+    picture = pictures(connection, Tenant(row.tenant_id), [bundle_id], LARGE_FIRST).get(bundle_id)
+    if picture is None:
         return None
-    # What a run called its file is not what a browser is told.
-    media_type = _MEDIA_TYPES[found.path.rpartition(".")[2]]
-    return Blob(found.sha256, int(found.size_bytes), media_type)
+    # By the path: the media type that a run has given is not trusted.
+    media_type = _MEDIA_TYPES[picture.path.rpartition(".")[2]]
+    return Blob(picture.sha256, int(picture.size_bytes), media_type)

@@ -27,10 +27,10 @@ def list_bundles(
 ) -> BundleList:
     """List bundles, newest first."""
     with services.database.read() as connection:
-        found, cursor = select_newest(
+        page, cursor = select_newest(
             connection, tenant, BundleRow, *having(tenant, bundles.c.id, given.label), page=given
         )
-        items = bundle_rows.show_all(connection, tenant, found)
+        items = bundle_rows.show_all(connection, tenant, page)
     return BundleList(items=items, next_cursor=cursor)
 
 
@@ -125,8 +125,8 @@ def list_shares(
     """List the active links of a bundle, newest first."""
     with services.database.read() as connection:
         bundle_rows.require_bundle(connection, tenant, bundle_id)
-        found, cursor = select_newest(connection, tenant, ShareRow, *shares.working(bundle_id), page=given)
-    return ShareList(items=[_show(request, row) for row in found], next_cursor=cursor)
+        page, cursor = select_newest(connection, tenant, ShareRow, *shares.working(bundle_id), page=given)
+    return ShareList(items=[_show(request, row) for row in page], next_cursor=cursor)
 
 
 @router.delete(

@@ -37,14 +37,14 @@ def show(connection: Connection, tenant: Tenant, row: BundleRow) -> Bundle:
     return show_all(connection, tenant, [row])[0]
 
 
-def show_all(connection: Connection, tenant: Tenant, found: Sequence[BundleRow]) -> list[Bundle]:
+def show_all(connection: Connection, tenant: Tenant, bundle_rows: Sequence[BundleRow]) -> list[Bundle]:
     """Return bundles in the form of the REST interface."""
-    identifiers = [row.id for row in found]
+    identifiers = [row.id for row in bundle_rows]
     mine = bundle_files.c.bundle_id.in_(identifiers)
     columns = (bundle_files.c.bundle_id, func.count(), func.sum(bundle_files.c.size_bytes))
     sums = rows(tenant, bundle_files, *columns).where(mine).group_by(bundle_files.c.bundle_id)
     sizes = {bundle_id: (count, size) for bundle_id, count, size in connection.execute(sums)}
-    scene_ids = {row.scene_id for row in found}
+    scene_ids = {row.scene_id for row in bundle_rows}
     named = rows(tenant, scenes, scenes.c.id, scenes.c.name).where(scenes.c.id.in_(scene_ids))
     names = {scene.id: scene.name for scene in connection.execute(named)}
     shown = thumbnail_urls(connection, tenant, identifiers)
@@ -60,7 +60,7 @@ def show_all(connection: Connection, tenant: Tenant, found: Sequence[BundleRow])
             thumbnail_url=shown.get(row.id),
             labels=row.labels or {},
         )
-        for row in found
+        for row in bundle_rows
     ]
 
 

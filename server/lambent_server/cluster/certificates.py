@@ -68,23 +68,23 @@ def _given(settings: Settings) -> Certificate:
     certificate, key, authority = settings.worker_certificate, settings.worker_key, settings.worker_authority
     if certificate is None or key is None:
         raise ServeError("serve.worker_key_missing: LAMBENT_WORKER_CERTIFICATE needs LAMBENT_WORKER_KEY too")
-    found = Certificate(
+    given = Certificate(
         chain=_checked(certificate, x509.load_pem_x509_certificates),
         key=_checked(key, lambda data: load_pem_private_key(data, None)),
         authority="" if authority is None else _checked(authority, x509.load_pem_x509_certificates).decode(),
         name="",
     )
-    own = x509.load_pem_x509_certificates(found.chain)[0].public_key()
-    if own != load_pem_private_key(found.key, None).public_key():
+    own = x509.load_pem_x509_certificates(given.chain)[0].public_key()
+    if own != load_pem_private_key(given.key, None).public_key():
         raise ServeError(
             f"serve.worker_certificate_invalid: {key} is not the key of the first certificate in "
             f"{certificate}; give both files of the same certificate"
         )
-    return found
+    return given
 
 
 class Renewals:
-    """Finds out when somebody has replaced the certificate in the files of the settings."""
+    """Notices a new certificate in the files of the settings."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -101,12 +101,12 @@ class Renewals:
             return None
         self._seen = versions
         try:
-            found = _given(self._settings)
+            certificate = _given(self._settings)
         except ServeError as error:
             log.warning("worker_certificate_not_renewed", reason=str(error))
             return None
         log.info("worker_certificate_renewed", path=str(self._settings.worker_certificate))
-        return found
+        return certificate
 
     def _versions(self) -> list[tuple[int, int, int] | None]:
         return [_version(path) for path in (self._settings.worker_certificate, self._settings.worker_key)]
@@ -115,10 +115,10 @@ class Renewals:
 def _version(path: Path | None) -> tuple[int, int, int] | None:
     """Return what changes with the content of a file; None if it is not there."""
     try:
-        found = None if path is None else path.stat()
+        status = None if path is None else path.stat()
     except OSError:
         return None
-    return None if found is None else (found.st_ino, found.st_size, found.st_mtime_ns)
+    return None if status is None else (status.st_ino, status.st_size, status.st_mtime_ns)
 
 
 def _checked(path: Path, load: Callable[[bytes], object]) -> bytes:

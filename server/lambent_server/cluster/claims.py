@@ -2,7 +2,7 @@
 
 A writer claims the hash, writes, and adds its row only if no deletion began meanwhile; otherwise it writes
 again. A deletion first commits that no row is left and that it began, and then deletes the bytes while it
-holds the lock on the claim, unless somebody has claimed the hash again. A process may be killed at any
+holds the lock on the claim, unless a writer has claimed the hash again. A process may be killed at any
 point: a claim that stays behind as "deleting" is finished by the next sweep. Rows of `blobs` are added and
 removed under the lock only, and the claim is locked before any of them.
 """
@@ -46,7 +46,7 @@ def lock(connection: Connection, sha256: str) -> float:
 
 
 def current(connection: Connection, sha256: str) -> str:
-    """Return the token to show `still_held`, for bytes that stand beside those of the hash."""
+    """Return the token to show `still_held`, for bytes that belong to those of the hash."""
     return str(_lock(connection, sha256).token)
 
 
@@ -70,7 +70,7 @@ def announce_deletion(connection: Connection, sha256: str) -> str | None:
 
 
 def lock_deletion(connection: Connection, sha256: str, token: str) -> bool:
-    """Lock an announced deletion; return False if somebody has claimed the hash again, or finished it."""
+    """Lock an announced deletion; return False if a writer has claimed the hash again, or finished it."""
     row = _find(connection, sha256)
     return row is not None and row.state == DELETING and row.token == token
 

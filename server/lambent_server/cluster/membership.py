@@ -58,9 +58,9 @@ def members(connection: Connection) -> list[Member]:
     leads = select(leadership.c.holder).where(leadership.c.expires_at >= clock_time(connection))
     holder = connection.execute(leads).scalar_one_or_none()
     is_alive = (servers.c.expires_at >= clock_time(connection)).label("is_alive")
-    found = many(connection, select(servers, is_alive).order_by(servers.c.id), Member)
+    known = many(connection, select(servers, is_alive).order_by(servers.c.id), Member)
     alone = connection.dialect.name == "sqlite"
-    return [replace(each, leads=each.is_alive if alone else each.id == holder) for each in found]
+    return [replace(each, leads=each.is_alive if alone else each.id == holder) for each in known]
 
 
 def most_gpus(connection: Connection, own: int) -> int:
@@ -113,7 +113,7 @@ class Membership:
         self._beats: dict[str, tuple[float, float]] = {}
         """When each server said last that it lives, and since when this is known (monotonic)."""
         self._spared: frozenset[str] = frozenset()
-        """Servers that lived before the database was away, and may not have said so again yet."""
+        """Servers that lived before the database was unavailable, and may not have said so again yet."""
         self._spared_until = 0.0
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="membership", daemon=True)
@@ -160,15 +160,15 @@ class Membership:
         began = time.monotonic()
         while True:
             with self._database.read() as connection:
-                found = next((each for each in members(connection) if each.id == self.id), None)
-            if found is None or not found.is_alive:
+                own = next((each for each in members(connection) if each.id == self.id), None)
+            if own is None or not own.is_alive:
                 return False
-            if found.host == self.host and set(found.endpoints) & set(self.own_endpoints):
+            if own.host == self.host and set(own.endpoints) & set(self.own_endpoints):
                 # The lock on the data folder says that it has ended.
                 return False
-            if before is not None and found.beat_at != before.beat_at:
+            if before is not None and own.beat_at != before.beat_at:
                 return True
-            before = before or found
+            before = before or own
             if time.monotonic() - began > self._settings.server_lost_after_s:
                 # Only a clock of the database that was set back lets it live still.
                 return False
@@ -208,7 +208,7 @@ class Membership:
 
     def beat(self) -> None:
         """Say once that this server lives, take or keep the lead, and look who else is there."""
-        # Everything that ends a lease counts from here, before the database was asked: a slow answer shortens
+        # Everything that ends a lease counts from here, before the query: a slow database shortens
         # the time for which this server may act, and never lengthens it.
         began = time.monotonic()
         self._write_row()
@@ -228,12 +228,12 @@ class Membership:
         """
         lost_after_s = self._settings.server_lost_after_s
         with self._database.read() as connection:
-            found = members(connection)
+            known = members(connection)
         if began - self._looked_at > lost_after_s:
             self._spared = frozenset(each.id for each in self._others if self.is_alive(each.id))
             self._spared_until = time.monotonic() + lost_after_s
         self._looked_at = began
-        beats = {each.id: (each.beat_at, began) for each in found}
+        beats = {each.id: (each.beat_at, began) for each in known}
         # By when a row was first seen: what the database's clock shows may have been set back.
         self._beats = {
             name: self._beats[name] if name in self._beats and self._beats[name][0] == beat[0] else beat
@@ -241,7 +241,7 @@ class Membership:
         }
         self._others = tuple(
             replace(each, is_alive=each.is_alive and began - self._beats[each.id][1] <= lost_after_s)
-            for each in found
+            for each in known
             if each.id != self.id
         )
 

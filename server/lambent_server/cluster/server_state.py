@@ -1,4 +1,4 @@
-"""What operators have told every server on a database: to start no runs (drain), to accept no writes."""
+"""Notices of operators to every server on a database: start no runs (drain), accept no writes."""
 
 import threading
 import time
@@ -30,7 +30,7 @@ class Notice:
 def announce(
     connection: Connection, name: str, message: str = "", retry_after_s: int = DEFAULT_RETRY_AFTER_S
 ) -> None:
-    """Tell all servers; one that was told before keeps its time."""
+    """Give a notice to all servers; one that exists keeps its time."""
     before = read(connection).get(name)
     withdraw(connection, name)
     values = {"since": before.since if before else now(), "message": message, "retry_after_s": retry_after_s}
@@ -44,10 +44,10 @@ def withdraw(connection: Connection, name: str) -> None:
 
 def read(connection: Connection) -> dict[str, Notice]:
     """Return what holds now, by name."""
-    found = connection.execute(across_tenants(server_state))
+    notices = connection.execute(across_tenants(server_state))
     return {
         row.name: Notice(since=row.since, message=row.message, retry_after_s=row.retry_after_s)
-        for row in found
+        for row in notices
     }
 
 
@@ -61,7 +61,7 @@ class Notices:
         self._until = 0.0
 
     def known(self) -> Mapping[str, Notice] | None:
-        """Return what holds, by name, without waiting; None if the database has to be asked."""
+        """Return what holds, by name, without waiting; None if only the database knows."""
         return self._known if time.monotonic() < self._until else None
 
     def now(self) -> Mapping[str, Notice]:

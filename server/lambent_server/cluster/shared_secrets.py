@@ -20,7 +20,7 @@ WORKER = "worker.secret"
 SHARE = "share.secret"
 """Signs links to bundles."""
 SERVER = "server.id"
-"""Holds the name of the server with this data folder, which is no secret."""
+"""Holds the name of the server with this data folder, which is not secret."""
 _LOCK = 0x1A4BE48
 
 

@@ -78,8 +78,8 @@ class Leadership:
         Its lease has ended then, whatever the database's clock shows, which may have been set back.
         """
         row = select(leadership.c.holder, leadership.c.expires_at).where(leadership.c.name == "leader")
-        found = connection.execute(row).one_or_none()
-        seen = None if found is None else (str(found[0]), float(found[1]))
+        leader = connection.execute(row).one_or_none()
+        seen = None if leader is None else (str(leader[0]), float(leader[1]))
         # Every beat changes `expires_at`, so the same value for a whole lease means that no beat came.
         if seen is None or seen != self._seen:
             self._seen, self._seen_since = seen, at

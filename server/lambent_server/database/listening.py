@@ -20,7 +20,7 @@ FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 30.0
 # An announcement takes milliseconds, unless the listening connection cannot hear it.
 HEARD_WITHIN_S = 5.0
-# How often a silent connection is asked whether it still exists.
+# How often a silent connection is checked.
 CHECK_S = 60.0
 
 

@@ -25,7 +25,7 @@ class KeyRow:
     scopes: str | None
     """Separated by spaces; null: all of them."""
     user_id: str | None
-    """Whose key it is; null: nobody's in particular."""
+    """Whose key it is; null: it belongs to no user."""
     maker_user_id: str | None
     maker_key_id: str | None
 
@@ -122,7 +122,7 @@ class JobRow:
     preview_sha256: str | None
     """The newest preview but for the sheet of an evaluation; its event holds the blob."""
     webhook: str | None
-    """Where its end is told."""
+    """Where its end is reported."""
     maker_user_id: str | None
     maker_key_id: str | None
     gpu_s_reserved: float | None

@@ -40,15 +40,15 @@ def revision_of_file(path: Path) -> str | None:
     """
     if not path.exists():
         return None
-    found = _read(f"file:{quote(str(path))}?mode=ro&immutable=1")
+    revision = _read(f"file:{quote(str(path))}?mode=ro&immutable=1")
     ahead = path.with_name(f"{path.name}-wal")
-    if found is None and ahead.exists():
+    if revision is None and ahead.exists():
         # The first tables may be in the log alone.
         with TemporaryDirectory() as folder:
             for each in (path, ahead):
                 shutil.copyfile(each, Path(folder) / each.name)
-            found = _read(f"file:{quote(str(Path(folder) / path.name))}")
-    return found
+            revision = _read(f"file:{quote(str(Path(folder) / path.name))}")
+    return revision
 
 
 def _read(uri: str) -> str | None:

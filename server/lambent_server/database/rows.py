@@ -60,8 +60,8 @@ def table_of(kind: type) -> Table:
 
 def one(connection: Connection, statement: Select[Any], kind: Callable[..., Kind]) -> Kind | None:
     """Return the only row of a query, or None if it finds none."""
-    found = connection.execute(statement).mappings().one_or_none()
-    return None if found is None else kind(**found)
+    row = connection.execute(statement).mappings().one_or_none()
+    return None if row is None else kind(**row)
 
 
 def many(connection: Connection, statement: Select[Any], kind: Callable[..., Kind]) -> list[Kind]:

@@ -28,6 +28,6 @@ def drop_checkpoints_of_scene(connection: Connection, tenant: Tenant, scene_id: 
 
 
 def drop_where(connection: Connection, tenant: Tenant, *conditions: ColumnElement[bool]) -> None:
-    found = connection.execute(rows(tenant, checkpoints, checkpoints.c.id).where(*conditions))
-    for identifier in list(found.scalars()):
+    ids = connection.execute(rows(tenant, checkpoints, checkpoints.c.id).where(*conditions))
+    for identifier in list(ids.scalars()):
         drop_checkpoint(connection, tenant, identifier)

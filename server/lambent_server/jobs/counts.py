@@ -24,8 +24,8 @@ def of_all_tenants(connection: Connection) -> dict[str, int]:
 
 
 def _sums(connection: Connection, statement: Select[Any]) -> dict[str, int]:
-    found = connection.execute(statement.group_by(job_counts.c.state))
-    return {state: int(num_jobs) for state, num_jobs in found if num_jobs}
+    sums = connection.execute(statement.group_by(job_counts.c.state))
+    return {state: int(num_jobs) for state, num_jobs in sums if num_jobs}
 
 
 def fold(database: Database, fold_from: int = FOLD_FROM) -> None:

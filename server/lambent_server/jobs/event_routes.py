@@ -143,12 +143,12 @@ class _Stream:
         with self._services.database.read() as connection:
             unknown = self._names - set(self._known)
             statement = rows(self._tenant, jobs).where(jobs.c.id.in_(sorted(unknown)))
-            found = many(connection, statement, JobRow) if unknown else []
+            unseen = many(connection, statement, JobRow) if unknown else []
             known = self._names & set(self._known) if self._names else frozenset(self._known)
             statement = rows(self._tenant, jobs, jobs.c.id, jobs.c.event_seq)
             numbered = connection.execute(statement.where(jobs.c.id.in_(sorted(known))))
             seqs = {job.id: job.event_seq for job in numbered}
-            if missing := self._names - {job.id for job in found} - set(seqs):
+            if missing := self._names - {job.id for job in unseen} - set(seqs):
                 raise not_found("job", min(missing))
             # First, so that every message says where the client is in all of them.
             for job_id, seq in seqs.items():
@@ -156,7 +156,7 @@ class _Stream:
             messages = self._snapshots(
                 [
                     Shown(job.id, job.last_event, encode(job))
-                    for job in job_queries.show_all(connection, self._tenant, found)
+                    for job in job_queries.show_all(connection, self._tenant, unseen)
                 ]
             )
             for job_id, seq in seqs.items():
@@ -245,11 +245,12 @@ class _Stream:
         """Return the messages for the events of one job up to `seq`."""
         messages: list[str] = []
         while self._told[job_id] < seq:
-            found = read_events(connection, self._tenant, job_id, self._told[job_id], BATCH)
-            if not found:
+            history = read_events(connection, self._tenant, job_id, self._told[job_id], BATCH)
+            if not history:
                 break
             messages += [
-                self._message("event", job_id, row.seq, encode(job_queries.show_event(row))) for row in found
+                self._message("event", job_id, row.seq, encode(job_queries.show_event(row)))
+                for row in history
             ]
         return messages
 
@@ -258,7 +259,7 @@ class _Stream:
         try:
             who = self._identify()
         except SQLAlchemyError as error:
-            # Without the database there is no news that it could keep from anybody.
+            # Without the database there is no news to withhold.
             log.warning("stream_not_checked", error=type(error).__name__)
             return True
         return who is not None and who.tenant == self._tenant and READ in who.scopes

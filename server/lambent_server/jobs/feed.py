@@ -185,8 +185,8 @@ class Feed:
 
     def _read_recent(self, tenant: Tenant) -> list[Shown]:
         with self._services.database.read() as connection:
-            found, _ = job_queries.select_page(connection, tenant, Wanted(), PageFilter(limit=RECENT))
-            shown = job_queries.show_all(connection, tenant, found)
+            newest, _ = job_queries.select_page(connection, tenant, Wanted(), PageFilter(limit=RECENT))
+            shown = job_queries.show_all(connection, tenant, newest)
         return [Shown(job.id, job.last_event, encode(job)) for job in shown]
 
     def _on_signal(self) -> None:
@@ -201,20 +201,20 @@ class Feed:
         while self._streams:
             began = loop.time()
             self._signalled.clear()
-            streams = {tenant_id: tuple(found) for tenant_id, found in self._streams.items()}
+            streams = {tenant_id: tuple(own) for tenant_id, own in self._streams.items()}
             try:
-                found = await to_thread.run_sync(self._look, streams, baseline, limiter=self._own)
+                look = await to_thread.run_sync(self._look, streams, baseline, limiter=self._own)
             except (SQLAlchemyError, OSError) as error:
                 log.warning("feed_failed", error=type(error).__name__)
             else:
-                self._published, self._looked_at = found.published, found.at
-                if baseline or found.advanced:
+                self._published, self._looked_at = look.published, look.at
+                if baseline or look.advanced:
                     # Streams that begin now will not be offered what was found, whoever was.
                     self._recent, self._offers = {}, self._offers + 1
                 baseline = False
                 self._begun.set()
-                await self._offer(found.changes)
-                self.offered_at = found.at
+                await self._offer(look.changes)
+                self.offered_at = look.at
             if wakeups.closing:
                 break
             # At most half of the time, however many streams there are.
@@ -287,10 +287,10 @@ def _read(
     start = before if before is not None and known else min(known, default=seq)
     events: list[tuple[int, str]] = []
     while (events[-1][0] if events else start) < seq:
-        found = read_events(connection, tenant, job_id, events[-1][0] if events else start, BATCH)
-        if not found:
+        history = read_events(connection, tenant, job_id, events[-1][0] if events else start, BATCH)
+        if not history:
             break
-        events += [(row.seq, encode(job_queries.show_event(row))) for row in found]
+        events += [(row.seq, encode(job_queries.show_event(row))) for row in history]
     snapshot = None
     if len(known) < len(told):
         job = job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, job_id))

@@ -60,8 +60,8 @@ def tail(services: Services, tenant: Tenant, job_id: str, run: int, num_bytes: i
         ended = connection.execute(mine).one_or_none()
         if ended is None:
             pieces = _pieces_of(tenant, job_id, run).order_by(run_log_pieces.c.start)
-            found = [row.data for row in connection.execute(pieces)]
-            return b"".join(found)[-num_bytes:] if found else None
+            pieces_found = [row.data for row in connection.execute(pieces)]
+            return b"".join(pieces_found)[-num_bytes:] if pieces_found else None
     size = int(ended.size_bytes)
     try:
         return b"".join(services.store.read(ended.sha256, size, max(size - num_bytes, 0), size))
@@ -76,8 +76,8 @@ def _copied_bytes(connection: Connection, tenant: Tenant, job_id: str, run: int)
         run_logs.c.job_id == job_id, run_logs.c.run == run
     )
     end = _end_of_pieces(run_log_pieces.c.tenant_id == tenant.id, *_of_run(job_id, run))
-    found = (connection.execute(statement).scalar_one_or_none() for statement in (named, end))
-    return max(int(size or 0) for size in found)
+    ends = (connection.execute(statement).scalar_one_or_none() for statement in (named, end))
+    return max(int(size or 0) for size in ends)
 
 
 def _end_of_pieces(*conditions: Any) -> Any:
@@ -137,7 +137,7 @@ class LogCopier:
             log.warning("logs_not_copied", error=type(error).__name__)
 
     def turn(self) -> None:
-        """Copy what is new of every run that goes on, and put away the output of those that have ended."""
+        """Copy what is new of every unfinished run, and put away the output of those that have ended."""
         began = now()
         with self._services.database.read() as connection:
             going_on = {
@@ -159,8 +159,8 @@ class LogCopier:
     def _with_pieces(self, connection: Connection, condition: Any) -> set[tuple[Any, ...]]:
         """Return job, run and tenant of the runs with such pieces."""
         columns = (run_log_pieces.c.job_id, run_log_pieces.c.run, run_log_pieces.c.tenant_id)
-        found = across_tenants(run_log_pieces, *columns).where(condition).distinct()
-        return {tuple(row) for row in connection.execute(found)}
+        runs = across_tenants(run_log_pieces, *columns).where(condition).distinct()
+        return {tuple(row) for row in connection.execute(runs)}
 
     def _left(self, connection: Connection) -> set[tuple[Any, ...]]:
         """Return job, run and tenant of runs with pieces of servers that will hardly come back for them."""
@@ -174,14 +174,14 @@ class LogCopier:
         changed = across_tenants(jobs, jobs.c.id, jobs.c.run, jobs.c.tenant_id).where(
             jobs.c.updated_at > since
         )
-        found = {
+        runs = {
             (job_id, run, tenant_id)
             for job_id, last, tenant_id in connection.execute(changed)
             for run in range(1, last + 1)
             if file_of(self._services, job_id, run).exists()
         }
         named = across_tenants(run_logs, run_logs.c.job_id, run_logs.c.run, run_logs.c.tenant_id)
-        ids = {job_id for job_id, *_ in found}
+        ids = {job_id for job_id, *_ in runs}
         some = named.where(run_logs.c.job_id.in_(ids))
         taken = across_tenants(run_log_pieces, run_log_pieces.c.server_id).where(
             run_log_pieces.c.job_id.in_(ids)
@@ -193,7 +193,7 @@ class LogCopier:
         ]
         theirs = run_log_pieces.c.job_id.in_(ids) & run_log_pieces.c.server_id.in_(others)
         copied = {tuple(row) for row in connection.execute(some)}
-        return found - copied - self._with_pieces(connection, theirs)
+        return runs - copied - self._with_pieces(connection, theirs)
 
     def _copy(self, tenant: Tenant, job_id: str, run: int) -> None:
         path = file_of(self._services, job_id, run)

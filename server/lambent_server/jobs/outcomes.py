@@ -104,7 +104,7 @@ def wait_for_room(connection: Connection, job: JobRow, why: str, settings: Setti
 def is_due(settings: Settings, at: float) -> ColumnElement[bool]:
     """Return the condition that a waiting job starts again at the time `at` (Unix seconds).
 
-    A time that is further away than any wait was told by a clock that has been set back since.
+    A time that is further away than any wait comes from a clock that has been set back since.
     """
     longest_s = max(settings.retry_delay_s * 2.0 ** max(settings.max_failures - 2, 0), settings.place_retry_s)
     return or_(jobs.c.retry_at <= at, jobs.c.retry_at > at + longest_s + JUMP_S)

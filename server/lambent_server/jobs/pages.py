@@ -57,8 +57,8 @@ def page(
         return rows(tenant, jobs).where(false())
     starts = [ordered(each.ids, each.order).subquery() for each in lists]
     merged = union(*(select(start.c[0].label("id")) for start in starts)).subquery()
-    found = ordered(select(merged.c.id), merged.c.id).subquery()
-    return ordered(select(jobs).join(found, found.c.id == jobs.c.id), jobs.c.id)
+    chosen = ordered(select(merged.c.id), merged.c.id).subquery()
+    return ordered(select(jobs).join(chosen, chosen.c.id == jobs.c.id), jobs.c.id)
 
 
 @dataclass(frozen=True, slots=True)

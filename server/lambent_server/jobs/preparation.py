@@ -1,4 +1,4 @@
-"""Which checkpoints are kept, and which a run is offered: cameras and masks stay with their scene."""
+"""Checkpoints that are kept, and those that a run is offered: cameras and masks stay with their scene."""
 
 from sqlalchemy import Connection
 
@@ -25,7 +25,7 @@ def scene_of_checkpoint(job: JobRow, stage: str) -> str | None:
 
 
 def offered_checkpoints(connection: Connection, tenant: Tenant, job: JobRow) -> list[CheckpointRow]:
-    """Return the checkpoints that a run of the job may go on from, oldest first.
+    """Return the checkpoints that a run of the job may continue from, oldest first.
 
     Those of the job, and of each stage that is kept with the scene the newest one of an earlier job, unless
     this one has one of its own. The run finds out whether they fit its settings.

@@ -79,15 +79,15 @@ def show(connection: Connection, tenant: Tenant, row: JobRow) -> Job:
     return show_all(connection, tenant, [row])[0]
 
 
-def show_all(connection: Connection, tenant: Tenant, found: Sequence[JobRow]) -> list[Job]:
+def show_all(connection: Connection, tenant: Tenant, job_rows: Sequence[JobRow]) -> list[Job]:
     """Return jobs in the form of the REST interface; their scenes and bundles are looked up together."""
-    wanted = {row.scene_id for row in found}
+    wanted = {row.scene_id for row in job_rows}
     columns = (scenes.c.id, scenes.c.name, scenes.c.thumbnail_sha256)
     known = connection.execute(rows(tenant, scenes, *columns).where(scenes.c.id.in_(wanted)))
     by_id = {scene.id: scene for scene in known}
-    results = [row.bundle_id for row in found if row.bundle_id]
+    results = [row.bundle_id for row in job_rows if row.bundle_id]
     made = thumbnail_urls(connection, tenant, results) if results else {}
-    return [_show(row, by_id.get(row.scene_id), made.get(row.bundle_id or "")) for row in found]
+    return [_show(row, by_id.get(row.scene_id), made.get(row.bundle_id or "")) for row in job_rows]
 
 
 def _show(row: JobRow, scene: Any, result_url: str | None) -> Job:

@@ -89,12 +89,12 @@ def _require_unused(connection: Connection, tenant: Tenant, kind: str, identifie
 def _needs(connection: Connection, tenant: Tenant) -> Iterator[tuple[str, set[str]]]:
     """Yield each unfinished job with what its request refers to."""
     going_on = rows(tenant, jobs, jobs.c.id, jobs.c.params, jobs.c.order_id).where(is_unfinished())
-    found = connection.execute(going_on).all()
+    unfinished = connection.execute(going_on).all()
     ordered = rows(tenant, render_orders, render_orders.c.id, render_orders.c.spec)
-    order_ids = {order_id for _, _, order_id in found if order_id is not None}
+    order_ids = {order_id for _, _, order_id in unfinished if order_id is not None}
     named = connection.execute(ordered.where(render_orders.c.id.in_(order_ids)))
     specs = {order.id: order.spec for order in named}
-    for job_id, params, order_id in found:
+    for job_id, params, order_id in unfinished:
         order = specs.get(order_id, {"assets": (), "environments": ()})
         needed = {asset["bundle_id"] for asset in order["assets"]}
         needed |= {light["environment_id"] for light in order["environments"]}

@@ -112,8 +112,8 @@ def list_jobs(services: ServicesOf, tenant: TenantOf, given: Annotated[JobFilter
             words=given.q.strip(),
         )
         oldest_first = given.sort == "oldest"
-        found, cursor = job_queries.select_page(connection, tenant, wanted, given, oldest_first=oldest_first)
-        items = job_queries.show_all(connection, tenant, found)
+        page, cursor = job_queries.select_page(connection, tenant, wanted, given, oldest_first=oldest_first)
+        items = job_queries.show_all(connection, tenant, page)
     return JobList(items=items, next_cursor=cursor)
 
 
@@ -196,14 +196,14 @@ def list_events(
     """Return the history of a job, in order."""
     with services.database.read() as connection:
         job_queries.require_job(connection, tenant, job_id)
-        found, cursor = select_ordered(
+        page, cursor = select_ordered(
             connection,
             EventRow,
             rows(tenant, events).where(events.c.job_id == job_id, events.c.seq > given.after),
             [events.c.seq],
             page=given,
         )
-    return EventList(items=[job_queries.show_event(row) for row in found], next_cursor=cursor)
+    return EventList(items=[job_queries.show_event(row) for row in page], next_cursor=cursor)
 
 
 @router.get(
@@ -221,9 +221,9 @@ def get_log(
     job = _load(services, tenant, job_id)
     parts = []
     for run in range(1, job.run + 1):
-        found = run_logs.tail(services, tenant, job.id, run, tail_bytes)
-        if found is not None:
-            parts.append(f"== run {run} ==\n".encode() + found)
+        log = run_logs.tail(services, tenant, job.id, run, tail_bytes)
+        if log is not None:
+            parts.append(f"== run {run} ==\n".encode() + log)
     text = b"\n".join(parts).decode("utf-8", errors="replace")
     return PlainTextResponse(text)
 
@@ -235,11 +235,11 @@ def list_artifacts(
     """Return the files that a job has produced besides its bundle, by name."""
     with services.database.read() as connection:
         job_queries.require_job(connection, tenant, job_id)
-        found, cursor = select_ordered(
+        page, cursor = select_ordered(
             connection,
             ArtifactRow,
             rows(tenant, artifacts).where(artifacts.c.job_id == job_id),
             [artifacts.c.name],
             page=given,
         )
-    return ArtifactList(items=[job_queries.show_artifact(row) for row in found], next_cursor=cursor)
+    return ArtifactList(items=[job_queries.show_artifact(row) for row in page], next_cursor=cursor)

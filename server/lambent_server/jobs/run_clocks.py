@@ -1,4 +1,4 @@
-"""How long runs have said and done nothing, in the running time of this server.
+"""Clocks of silence and of stalls: the time without news of a run, in the running time of this server.
 
 Clocks of machines differ, and a server that slept has seen nothing meanwhile: what counts is for how long
 this server has looked at a value that did not change.

@@ -8,7 +8,7 @@ from lambent_server.http.identity import COOKIE
 
 
 def visitor(request: Request, tenant: Tenant, kind: KindOfActor = "session", identifier: str = "") -> Who:
-    """Return somebody who is about to get a cookie, for the audit log of a tenant."""
+    """Return a visitor who is about to get a cookie, for the audit log of a tenant."""
     return Who(
         tenant=tenant,
         kind=kind,

@@ -44,8 +44,8 @@ def list_keys(
     """List the keys, newest first, including revoked ones."""
     require_key(request, _WHAT)
     with services.database.read() as connection:
-        found, cursor = select_newest(connection, tenant, KeyRow, page=given)
-    return KeyList(items=[keys.show(row) for row in found], next_cursor=cursor)
+        page, cursor = select_newest(connection, tenant, KeyRow, page=given)
+    return KeyList(items=[keys.show(row) for row in page], next_cursor=cursor)
 
 
 @router.delete("/v1/keys/{key_id:id}", status_code=204, response_class=Response, responses=problems(403, 404))

@@ -35,13 +35,13 @@ class Me(Shown):
 
 
 class Switch(Given):
-    """The organisation to go on with."""
+    """The organisation to continue with."""
 
     organisation: Annotated[str, Field(pattern=f"^{ID_PATTERN}$")]
 
 
 class AuditEntry(Shown):
-    """Something that somebody did, or was not allowed to do."""
+    """An action, or the refusal of one."""
 
     id: str
     at: str

@@ -1,4 +1,4 @@
-"""Who makes a request, the organisations that a user can switch to, and the audit log."""
+"""The person behind a request, the organisations that a user can switch to, and the audit log."""
 
 import json
 from typing import Annotated
@@ -66,7 +66,7 @@ def _show_me(connection: Connection, who: Who) -> Me:
 def switch_organisation(
     services: ServicesOf, who: WhoOf, request: Request, response: Response, body: Switch
 ) -> Me:
-    """Go on with another organisation in this browser; it gets a new cookie."""
+    """Continue with another organisation in this browser; it gets a new cookie."""
     if who.user_id is None:
         raise Problem(409, "no_user", "only a browser in which a user has signed in can switch")
     target = Tenant(body.organisation)
@@ -108,8 +108,8 @@ def list_audit_entries(
     if given.until is not None:
         conditions.append(audit_entries.c.at < given.until.timestamp())
     with services.database.read() as connection:
-        found, cursor = select_newest(connection, tenant, AuditRow, *conditions, page=given)
-    return AuditEntryList(items=[show_entry(row) for row in found], next_cursor=cursor)
+        page, cursor = select_newest(connection, tenant, AuditRow, *conditions, page=given)
+    return AuditEntryList(items=[show_entry(row) for row in page], next_cursor=cursor)
 
 
 def show_entry(row: AuditRow) -> AuditEntry:

@@ -38,14 +38,14 @@ router = APIRouter(tags=["login"], route_class=StrictRoute)
 COOKIE = "lambent_sign_in"
 PATH = "/v1/sign-in"
 VALID_S = 600.0
-"""Time within which somebody must have signed in at the provider."""
+"""Time within which a person must have signed in at the provider."""
 _HERE = re.compile(r"/(?![/\\])[\x21-\x5b\x5d-\x7e]{0,500}")
 REFUSED = "sign_in_refused"
 FAILED = "sign_in_failed"
 
 _REDIRECT: dict[int | str, dict[str, Any]] = {
     **problems(404, 422),
-    303: {"description": "Where the browser goes on."},
+    303: {"description": "Where the browser continues."},
 }
 Text = Annotated[str, Field(max_length=4000)]
 
@@ -70,7 +70,7 @@ async def _apart(request: Request, answer: Callable[[], Response]) -> Response:
 async def begin_sign_in(
     services: ServicesOf, request: Request, return_to: Annotated[Text, Query()] = "/"
 ) -> Response:
-    """Sign in: at once if a trusted proxy names somebody, else at the provider, and come back."""
+    """Sign in: at once if a trusted proxy names a user, else at the provider, and come back."""
     return await _apart(request, partial(_begin, services, request, return_to))
 
 
@@ -82,7 +82,7 @@ def _begin(services: Services, request: Request, return_to: str) -> Response:
         return _let_in(services, request, of_proxy(name, groups, services.settings), target)
     provider = _provider(request)
     if provider is None:
-        raise Problem(404, "sign_in_not_found", "no provider is set up, and no trusted proxy names anybody")
+        raise Problem(404, "sign_in_not_found", "no provider is set up, and no trusted proxy names a user")
     state, nonce, verifier = (secrets.token_urlsafe(32) for _ in range(3))
     try:
         address = provider.address(_callback(request), state, nonce, verifier)
@@ -93,7 +93,7 @@ def _begin(services: Services, request: Request, return_to: str) -> Response:
         connection.execute(delete(sign_ins).where(sign_ins.c.created_at < now() - VALID_S))
         connection.execute(insert(sign_ins).values(state_sha256=sha256_text(state), **values))
     response = RedirectResponse(address, 303)
-    # Lax: the provider sends the browser back, and only the one that began may go on.
+    # Lax: the provider sends the browser back, and only the one that began may continue.
     secure = request.url.scheme == "https"
     response.set_cookie(
         COOKIE, state, max_age=int(VALID_S), path=PATH, httponly=True, samesite="lax", secure=secure
@@ -163,7 +163,7 @@ def _go_on(target: str) -> Response:
 
 
 def _let_in(services: Services, request: Request, vouched: Vouched, target: str) -> Response:
-    """Return the answer to somebody whom the provider or proxy vouches for."""
+    """Return the answer to a person whom the provider or proxy vouches for."""
     lifetime_s = services.settings.session_s
     try:
         with services.database.write() as connection:

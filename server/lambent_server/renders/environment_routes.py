@@ -105,8 +105,8 @@ def list_environments(
 ) -> EnvironmentList:
     """List the environments, newest first."""
     with services.database.read() as connection:
-        found, cursor = select_newest(connection, tenant, EnvironmentRow, page=given)
-    return EnvironmentList(items=[_show(row) for row in found], next_cursor=cursor)
+        page, cursor = select_newest(connection, tenant, EnvironmentRow, page=given)
+    return EnvironmentList(items=[_show(row) for row in page], next_cursor=cursor)
 
 
 @router.get("/v1/environments/{environment_id:id}", responses=problems(404))

@@ -73,11 +73,11 @@ def submit_batch(
 def list_batches(services: ServicesOf, tenant: TenantOf, given: Annotated[PageFilter, Query()]) -> BatchList:
     """List batches, newest first."""
     with services.database.read() as connection:
-        found, cursor = select_newest(
+        page, cursor = select_newest(
             connection, tenant, OrderRow, render_orders.c.kind == render_rows.BATCH, page=given
         )
         return BatchList(
-            items=[render_rows.show(connection, tenant, row) for row in found], next_cursor=cursor
+            items=[render_rows.show(connection, tenant, row) for row in page], next_cursor=cursor
         )
 
 
@@ -130,12 +130,12 @@ def list_batch_artifacts(
     with services.database.read() as connection:
         row = render_rows.require_order(connection, tenant, batch_id, render_rows.BATCH)
         identifiers = [job.id for job in render_rows.newest_jobs(connection, tenant, row.id)]
-        found, cursor = select_ordered(
+        page, cursor = select_ordered(
             connection,
             ArtifactRow,
             rows(tenant, artifacts).where(artifacts.c.job_id.in_(identifiers)),
             [artifacts.c.name, artifacts.c.job_id],
             page=given,
         )
-        items = [BatchArtifact(job_id=each.job_id, **show_artifact(each).model_dump()) for each in found]
+        items = [BatchArtifact(job_id=each.job_id, **show_artifact(each).model_dump()) for each in page]
     return BatchArtifactList(items=items, next_cursor=cursor)

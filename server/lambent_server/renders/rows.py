@@ -191,22 +191,22 @@ def first_job(connection: Connection, tenant: Tenant, order_id: str) -> JobRow:
 def newest_jobs(connection: Connection, tenant: Tenant, order_id: str) -> list[JobRow]:
     """Return the newest job of every part of an order, by part; the summary comes last."""
     statement = rows(tenant, jobs).where(jobs.c.order_id == order_id).order_by(jobs.c.id)
-    found = {job.part[1]: job for job in many(connection, statement, JobRow)}
-    return [found[shard] for shard in sorted(found)]
+    by_part = {job.part[1]: job for job in many(connection, statement, JobRow)}
+    return [by_part[shard] for shard in sorted(by_part)]
 
 
 def show(connection: Connection, tenant: Tenant, row: OrderRow) -> Batch:
     """Return a batch in the form of the REST interface."""
-    found = newest_jobs(connection, tenant, row.id)
-    identifiers = [job.id for job in found]
-    parts = [job for job in found if not is_summary(job, row.num_shards)]
+    newest = newest_jobs(connection, tenant, row.id)
+    identifiers = [job.id for job in newest]
+    parts = [job for job in newest if not is_summary(job, row.num_shards)]
     failed = rows(tenant, events, func.count()).where(
         events.c.job_id.in_(identifiers), events.c.type == "finding"
     )
     return Batch(
         id=row.id,
         name=row.name,
-        state=_state([job.state for job in found]),
+        state=_state([job.state for job in newest]),
         created_at=rfc3339(row.created_at),
         num_pictures=row.num_pictures,
         num_done=sum((job.progress or {}).get("step", 0) for job in parts),

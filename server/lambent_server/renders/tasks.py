@@ -64,11 +64,11 @@ def _failures(
             events.c.job_id == part.id, events.c.type == "finding"
         )
         # A run that was lost after reporting its findings has reported them twice.
-        found = dict.fromkeys(map(tuple, connection.execute(statement.order_by(events.c.seq))))
-        for name, text in found:
+        findings = dict.fromkeys(map(tuple, connection.execute(statement.order_by(events.c.seq))))
+        for name, text in findings:
             code, _, message = text.partition(": ")
             yield render_pb2.RenderFailure(path=name or part.id, code=code, message=message)
-        if part.state != SUCCEEDED and not found:
+        if part.state != SUCCEEDED and not findings:
             error = part.error or {"code": f"job.{part.state}", "message": ""}
             path = f"{part.id}/*"
             yield render_pb2.RenderFailure(path=path, code=error["code"], message=error["message"])

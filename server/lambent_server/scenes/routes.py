@@ -54,10 +54,10 @@ def create_scene(
 def list_scenes(services: ServicesOf, tenant: TenantOf, given: Annotated[LabelFilter, Query()]) -> SceneList:
     """List scenes, newest first."""
     with services.database.read() as connection:
-        found, cursor = select_newest(
+        page, cursor = select_newest(
             connection, tenant, SceneRow, *having(tenant, scenes.c.id, given.label), page=given
         )
-    return SceneList(items=[scene_rows.show(row) for row in found], next_cursor=cursor)
+    return SceneList(items=[scene_rows.show(row) for row in page], next_cursor=cursor)
 
 
 @router.post("/v1/scenes/{scene_id:id}/files:plan", responses=problems(400, 404, 409, 413, 422))

@@ -60,7 +60,7 @@ def lease_s(settings: Settings) -> float:
 def is_due(settings: Settings) -> ColumnElement[bool]:
     """Return the condition that a delivery is due.
 
-    A time that is further away than any wait was told by a clock that has been set back since.
+    A time that is further away than any wait comes from a clock that has been set back since.
     """
     at, longest_s = now(), max(settings.webhook_give_up_s, lease_s(settings))
     next_at = webhook_deliveries.c.next_at
@@ -91,12 +91,12 @@ def claim(database: Database, settings: Settings, places: Places) -> list[Claime
         }
         while able := [tenant_id for tenant_id in waiting if trial.has_room(tenant_id)]:
             tenant_id = min(able, key=trial.turn)
-            found = waiting[tenant_id].next(connection, tenant_id, trial)
-            if found is None:
+            chosen_row = waiting[tenant_id].next(connection, tenant_id, trial)
+            if chosen_row is None:
                 del waiting[tenant_id]
                 continue
-            chosen.append(found.id)
-            trial.take(tenant_id, found.host)
+            chosen.append(chosen_row.id)
+            trial.take(tenant_id, chosen_row.host)
     return _take(database, settings, chosen) if chosen else []
 
 
@@ -124,7 +124,7 @@ class _Waiting:
 
 def _take(database: Database, settings: Settings, chosen: Collection[str]) -> list[Claimed]:
     """Mark those of the chosen deliveries that are still due and that no other server takes right now."""
-    # Chosen without a lock, so each may be taken or settled by now: the condition is asked again under it.
+    # Chosen without a lock, so each may be taken or settled by now: the condition is repeated with one.
     due = across_tenants(webhook_deliveries).where(webhook_deliveries.c.id.in_(chosen), is_due(settings))
     token = secrets.token_hex(8)
     with database.write() as connection:
@@ -142,21 +142,21 @@ def _secrets(connection: Connection, row: DeliveryRow) -> tuple[str, ...]:
     Nothing for one whose subscription was deleted, or whose maker may have nothing sent any more.
     """
     tenant = Tenant(row.tenant_id)
-    found: SecretRow | WebhookRow | None
+    signer: SecretRow | WebhookRow | None
     asked: JobRow | WebhookRow | None
     if row.webhook_id is None:
-        found = one(connection, rows(tenant, webhook_secrets), SecretRow)
+        signer = one(connection, rows(tenant, webhook_secrets), SecretRow)
         asked, needed = find(connection, tenant, JobRow, row.job_id or ""), SUBMIT
     else:
-        found = asked = find(connection, tenant, WebhookRow, row.webhook_id)
+        signer = asked = find(connection, tenant, WebhookRow, row.webhook_id)
         needed = ADMIN
     # Of a job that has been deleted, what waits is still sent.
     may = asked is None or needed in scopes_of_maker(connection, tenant, maker_of(asked))
-    if found is None or not may:
+    if signer is None or not may:
         return ()
-    if found.previous_secret is not None and (found.previous_until or 0.0) > now():
-        return found.secret, found.previous_secret
-    return (found.secret,)
+    if signer.previous_secret is not None and (signer.previous_until or 0.0) > now():
+        return signer.secret, signer.previous_secret
+    return (signer.secret,)
 
 
 def release(database: Database, row: DeliveryRow) -> None:

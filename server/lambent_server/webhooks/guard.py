@@ -1,4 +1,4 @@
-"""Where webhooks may be sent: the address is checked at every attempt, and only what was checked is used.
+"""The guard of webhooks: the address is checked at every attempt, and only what was checked is used.
 
 Against requests forged on behalf of the server (SSRF): a strict form of URL, https on a few ports, and public
 unicast addresses only. Names and networks that an operator lists are exempt from the last rule.

@@ -122,14 +122,14 @@ class DeliveryList(Shown):
 
 
 class DeliveredError(Shown):
-    """Why a job failed, as receivers are told."""
+    """Why a job failed, as receivers get it."""
 
     code: str
     message: str
 
 
 class DeliveredJob(Shown):
-    """A job at the time of a change, as receivers are told."""
+    """A job at the time of a change, as receivers get it."""
 
     id: str
     kind: str

@@ -1,4 +1,4 @@
-"""Writes what is to be told about a job, in the transaction that changes it; sending comes later."""
+"""The outbox: deliveries are stored in the transaction that changes a job, and sent later."""
 
 import json
 

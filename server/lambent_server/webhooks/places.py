@@ -117,6 +117,6 @@ class Places:
     def _forget(self) -> None:
         since = self._clock() - FORGET_S
         if len(self._hung) > _FORGET_ABOVE:
-            self._hung = {name: found for name, found in self._hung.items() if found[1] > since}
+            self._hung = {name: timeouts for name, timeouts in self._hung.items() if timeouts[1] > since}
         if len(self._served) > _FORGET_ABOVE:
             self._served = {name: at for name, at in self._served.items() if at > since}

@@ -68,8 +68,8 @@ def list_webhooks(
 ) -> WebhookList:
     """List subscriptions, newest first."""
     with services.database.read() as connection:
-        found, cursor = select_newest(connection, tenant, WebhookRow, page=given)
-    return WebhookList(items=[webhook_rows.show(row) for row in found], next_cursor=cursor)
+        page, cursor = select_newest(connection, tenant, WebhookRow, page=given)
+    return WebhookList(items=[webhook_rows.show(row) for row in page], next_cursor=cursor)
 
 
 @router.get("/v1/webhooks/{webhook_id:id}", responses=problems(404))
@@ -159,8 +159,8 @@ def list_deliveries(
     columns = {"webhook_id": given.webhook, "job_id": given.job, "state": given.state}
     conditions = [webhook_deliveries.c[name] == value for name, value in columns.items() if value is not None]
     with services.database.read() as connection:
-        found, cursor = select_newest(connection, tenant, DeliveryRow, *conditions, page=given)
-    return DeliveryList(items=[webhook_rows.show_delivery(row) for row in found], next_cursor=cursor)
+        page, cursor = select_newest(connection, tenant, DeliveryRow, *conditions, page=given)
+    return DeliveryList(items=[webhook_rows.show_delivery(row) for row in page], next_cursor=cursor)
 
 
 @router.get("/v1/deliveries/{delivery_id:id}", responses=problems(404))
@@ -172,7 +172,7 @@ def get_delivery(services: ServicesOf, tenant: TenantOf, delivery_id: Id) -> Del
 
 @router.post("/v1/deliveries/{delivery_id:id}:redeliver", status_code=202, responses=problems(403, 404, 409))
 def redeliver(services: ServicesOf, tenant: TenantOf, who: WhoOf, delivery_id: Id) -> Delivery:
-    """Deliver again, with the same id and body; the attempts go on for another day."""
+    """Deliver again, with the same id and body; the attempts continue for another day."""
     with audit.recorded(services.database, who, "redeliver", delivery_id) as connection:
         row = webhook_rows.require_delivery(connection, tenant, delivery_id, lock=True)
         again = webhook_rows.redeliver(connection, tenant, row)

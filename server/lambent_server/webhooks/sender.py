@@ -32,10 +32,10 @@ _USER_AGENT = "lambent-webhooks/1"
 def look_up(host: str, port: int) -> list[str]:
     """Return the addresses of a host name; empty if it has none."""
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        infos = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except OSError:
         return []
-    return list(dict.fromkeys(str(each[4][0]) for each in found))
+    return list(dict.fromkeys(str(each[4][0]) for each in infos))
 
 
 class Sender:
@@ -151,18 +151,18 @@ class Sender:
         answer: asyncio.Future[list[str]] = loop.create_future()
 
         def resolve() -> None:
-            found = self._resolver(target.host, target.port)
+            addresses = self._resolver(target.host, target.port)
             with contextlib.suppress(RuntimeError):
-                loop.call_soon_threadsafe(_settle, answer, found)
+                loop.call_soon_threadsafe(_settle, answer, addresses)
 
         # A daemon thread, so that a look-up that hangs does not keep the server from exiting.
         threading.Thread(target=resolve, name="webhook-lookup", daemon=True).start()
         return await answer
 
 
-def _settle(answer: asyncio.Future[list[str]], found: list[str]) -> None:
+def _settle(answer: asyncio.Future[list[str]], addresses: list[str]) -> None:
     if not answer.done():
-        answer.set_result(found)
+        answer.set_result(addresses)
 
 
 def open_client(settings: Settings) -> httpx2.AsyncClient:

@@ -143,7 +143,7 @@ class Connections:
 
 @contextmanager
 def _opened(descriptor: int) -> Iterator[socket.socket | None]:
-    """Yield a duplicate of a socket that belongs to somebody else, or None for other files."""
+    """Yield a duplicate of a socket that others own, or None for other files."""
     try:
         connection = None
         if stat.S_ISSOCK(os.fstat(descriptor).st_mode):

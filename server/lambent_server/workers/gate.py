@@ -1,4 +1,4 @@
-"""What calls of run processes must pass before they are read: the token, and the limits of each run."""
+"""The gate that calls of run processes pass before they are read: the token, and the limits of each run."""
 
 import threading
 import time
@@ -74,7 +74,7 @@ class Shares:
                     use.transactions_s -= time.monotonic() - began[0]
 
     def enter(self, run: str, *, stream: bool, beats: bool = False) -> str:
-        """Begin a call; return the reason why it is refused, or nothing if it may go on.
+        """Begin a call; return the reason why it is refused, or nothing if it may proceed.
 
         A heartbeat (`beats`) is let in even if the run's transactions took too long: without, it is lost.
         """

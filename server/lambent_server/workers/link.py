@@ -1,4 +1,4 @@
-"""Where run processes reach this server: a socket in its data folder, and if asked one on the network."""
+"""Addresses at which run processes reach this server: a socket in its data folder, and one on the network."""
 
 import os
 import stat
@@ -52,8 +52,8 @@ def _private_folder(name: str) -> Path:
     """Return a temporary folder that no other user can enter."""
     folder = Path(tempfile.gettempdir()).resolve() / name
     folder.mkdir(mode=0o700, exist_ok=True)
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
         raise ServeError(
             f"serve.folder_not_private: {folder} has to be a folder of this user that nobody else can enter, "
             "for the socket of run processes; remove it, or choose a shorter folder with --data"

@@ -1,4 +1,4 @@
-"""How much one run may report: a run is untrusted code, and whatever it sends is written to the database."""
+"""Limits of what a run may report: it is untrusted code, and what it sends is written to the database."""
 
 from google.protobuf.message import Message
 from lambent_proto.v1 import worker_pb2

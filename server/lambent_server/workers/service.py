@@ -188,8 +188,8 @@ class WorkerServicer(worker_pb2_grpc.WorkerServiceServicer):
         handle = job.handle or {}
         if not is_placed(handle):
             run = run_name(job.id, job.run)
-            found = {"pid": request.pid, "identity": request.process_identity, "run": run}
-            values["handle"] = {"gpus": [], **handle, **found}
+            process = {"pid": request.pid, "identity": request.process_identity, "run": run}
+            values["handle"] = {"gpus": [], **handle, **process}
         set_fields(connection, job, **values)
         heartbeat_s = self._services.settings.heartbeat_s
         return worker_pb2.RegisterResponse(heartbeat_s=heartbeat_s, servers=self._servers_for(job))
@@ -374,7 +374,7 @@ def listen(server: grpc.Server, network: Listening) -> None:
     if certificate is None:
         server.add_insecure_port(network.address)
         return
-    # Asked at every new connection; the open ones go on with what they have seen.
+    # Asked at every new connection; the open ones keep what they have seen.
     credentials = grpc.dynamic_ssl_server_credentials(
         _configuration(certificate), lambda: _renewed_configuration(network)
     )

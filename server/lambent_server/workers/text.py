@@ -16,7 +16,7 @@ MAX_INTEGER = 2**31 - 1
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 # Of blobs; others are only compared.
 _HASHES = frozenset({"sha256", "page_sha256", "thumbnail_sha256"})
-# What programs and people write; a NUL in the output of a program is no reason to end its run.
+# What programs and people write; a NUL in the output of a program does not end its run.
 _FREE = frozenset({"message", "name", "doing", "subject"})
 
 

@@ -63,9 +63,9 @@ def _checked(
 ) -> int:
     """Return the size of the file, having checked it and the hash."""
     if not re.fullmatch("[0-9a-f]{64}", request.sha256):
-        raise invalid("invalid_request", "#/sha256", "this is no SHA-256")
+        raise invalid("invalid_request", "#/sha256", "this is not a SHA-256")
     if not 0 <= request.size_bytes < 2**53:
-        raise invalid("invalid_request", "#/size_bytes", "this is no size of a file")
+        raise invalid("invalid_request", "#/size_bytes", "this is not the size of a file")
     return int(request.size_bytes)
 
 

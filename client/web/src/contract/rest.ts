@@ -38,7 +38,7 @@ export interface components {
         };
         /**
          * AuditEntry
-         * @description Something that somebody did, or was not allowed to do.
+         * @description An action, or the refusal of one.
          */
         AuditEntry: {
             /** Action */
@@ -1548,7 +1548,7 @@ export interface components {
         };
         /**
          * Switch
-         * @description The organisation to go on with.
+         * @description The organisation to continue with.
          */
         Switch: {
             /** Organisation */
