@@ -10,9 +10,7 @@ from lambent_server.accounts.oidc import THREADS, Provider
 from lambent_server.api.json_bodies import require_strict
 from lambent_server.api.messages import ProblemDocument
 from lambent_server.api.resources import describe_conditions
-from lambent_server.bundles import embed_routes as embed
-from lambent_server.bundles import file_routes as files
-from lambent_server.bundles import provenance_routes as provenance
+from lambent_server.bundles import embed_routes, file_routes, provenance_routes
 from lambent_server.bundles import routes as bundles
 from lambent_server.cluster.server_state import Notices
 from lambent_server.cluster.shared_secrets import SHARE, shared_secret
@@ -25,20 +23,18 @@ from lambent_server.http.middleware import Gate
 from lambent_server.http.request import App
 from lambent_server.http.request_turns import take_turn
 from lambent_server.http.scopes import check_scope, describe_scope, require_complete
-from lambent_server.jobs import event_routes as events
+from lambent_server.jobs import event_routes
 from lambent_server.jobs import routes as jobs
 from lambent_server.jobs.feed import Feed
 from lambent_server.pages import about, pages
-from lambent_server.people import key_routes as keys
-from lambent_server.people import login_routes as login
+from lambent_server.people import key_routes, login_routes, sign_in_routes
 from lambent_server.people import routes as people
-from lambent_server.people import sign_in_routes as sign_in
-from lambent_server.renders import environment_routes as environments
+from lambent_server.renders import environment_routes
 from lambent_server.renders import routes as renders
-from lambent_server.running import retry_routes as retry
+from lambent_server.running import retry_routes
 from lambent_server.running.health import Health
 from lambent_server.scenes import routes as scenes
-from lambent_server.scenes import upload_routes as direct_uploads
+from lambent_server.scenes import upload_routes
 from lambent_server.services import Services
 from lambent_server.webhooks import routes as webhooks
 
@@ -60,30 +56,30 @@ def _bare(services: Services | None) -> FastAPI:
     errors.install(app)
     modules = (
         scenes,
-        direct_uploads,
+        upload_routes,
         jobs,
-        retry,
+        retry_routes,
         renders,
-        events,
+        event_routes,
         bundles,
-        files,
-        environments,
+        file_routes,
+        environment_routes,
         about,
-        login,
-        keys,
+        login_routes,
+        key_routes,
         webhooks,
         people,
-        sign_in,
-        provenance,
+        sign_in_routes,
+        provenance_routes,
     )
-    routers = [module.router for module in (*modules, embed, pages)]
+    routers = [module.router for module in (*modules, embed_routes, pages)]
     require_complete(routers)
     require_strict(routers)
     app.state.routes = [route for router in routers for route in router.routes]
     for router in routers[: len(modules)]:
         app.include_router(router)
     app.add_api_route("/openapi.json", describe, include_in_schema=False)
-    app.include_router(embed.router)
+    app.include_router(embed_routes.router)
     app.include_router(pages.router)
     return app
 

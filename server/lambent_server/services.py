@@ -27,9 +27,9 @@ class Capacity:
     """How many runs without GPUs there is room for, at least 1."""
 
     @classmethod
-    def of_machine(cls, settings: Settings, counted_gpus: int) -> "Capacity":
+    def of_machine(cls, settings: Settings) -> "Capacity":
         """Return what this machine has, unless the settings say otherwise."""
-        gpus = counted_gpus if settings.local_gpus is None else settings.local_gpus
+        gpus = count_gpus() if settings.local_gpus is None else settings.local_gpus
         return cls(lambda: gpus, lambda: max(settings.local_slots, 1))
 
 
@@ -55,7 +55,7 @@ class Services:
         """Prepare what the requests and runs of this server share."""
         floor, share = self.settings.disk_floor_bytes, self.settings.tenant_share
         # The class is frozen.
-        object.__setattr__(self, "decoders", FairPlaces.of_decoders(self.settings))
+        object.__setattr__(self, "decoders", FairPlaces.shared(self.settings.max_decoders, self.settings))
         object.__setattr__(self, "space", Space(self.free_bytes, floor_bytes=floor, tenant_share=share))
 
     def free_bytes(self) -> int:
@@ -77,7 +77,7 @@ def open_services(settings: Settings) -> Services:
         shutil.rmtree(path) if path.is_dir() else path.unlink()
     database.migrate()
     begin_time(database)
-    capacity = Capacity.of_machine(settings, count_gpus())
+    capacity = Capacity.of_machine(settings)
     signer = open_signer(database, settings)
     store = _open_store(settings, database, s3_options(settings))
     return Services(settings, database, store, Wakeups(), capacity, signer)
@@ -89,7 +89,7 @@ def join_services(settings: Settings, database: Database, *, with_store: bool = 
     Without `with_store`, a store in S3 is not asked whether it works.
     """
     store = _open_store(settings, database, s3_options(settings) if with_store else None)
-    return Services(settings, database, store, Wakeups(), Capacity.of_machine(settings, count_gpus()))
+    return Services(settings, database, store, Wakeups(), Capacity.of_machine(settings))
 
 
 def open_database(settings: Settings) -> Database:

@@ -3,7 +3,6 @@
 import contextlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,7 +37,7 @@ def age(text: str) -> float:
     number, unit = text[:-1], text[-1:]
     if unit not in _UNITS or not number.isdecimal():
         raise typer.BadParameter(f"{text!r} is not an age such as 30m, 12h or 7d")
-    return timedelta(seconds=int(number) * _UNITS[unit]).total_seconds()
+    return int(number) * _UNITS[unit]
 
 
 def print_rows(rows: Sequence[Mapping[str, Any]], names: Sequence[str], as_json: bool) -> None:

@@ -40,10 +40,9 @@ class FairPlaces:
         self._threads = CapacityLimiter(total)
 
     @classmethod
-    def of_decoders(cls, settings: Settings) -> "FairPlaces":
-        """Return the places of the processes that decode uploads."""
-        shares = {"tenant_share": settings.tenant_share, "client_share": settings.client_share}
-        return cls(settings.max_decoders, **shares)
+    def shared(cls, total: int, settings: Settings) -> "FairPlaces":
+        """Return so many places, with the shares of the settings."""
+        return cls(total, tenant_share=settings.tenant_share, client_share=settings.client_share)
 
     async def run(self, tenant_id: str, client: str, act: Callable[..., Result], *arguments: Any) -> Result:
         """Return what `act` returns, called in a thread once there is a place for it."""

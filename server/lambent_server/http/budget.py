@@ -10,7 +10,6 @@ import re
 import time
 from collections import Counter
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Self
 
 from starlette.datastructures import Headers
@@ -119,9 +118,7 @@ class Place:
         """Return the place, which is still empty."""
         return self
 
-    def __exit__(
-        self, _t: type[BaseException] | None, _e: BaseException | None, _b: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Free the place."""
         self._leave()
         self._clients = []

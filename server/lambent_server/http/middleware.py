@@ -16,18 +16,19 @@ from lambent_server.accounts import audit
 from lambent_server.accounts.scopes import READ
 from lambent_server.accounts.shares import bundle_read, frame_ancestors, is_active, is_token
 from lambent_server.accounts.who import Who
+from lambent_server.api.fair_places import FairPlaces
 from lambent_server.api.outside_text import check_target
 from lambent_server.api.problems import Problem
 from lambent_server.core.secrets import sha256_text
 from lambent_server.database.tenancy import Tenant
-from lambent_server.http import cross_origin
+from lambent_server.http import cross_origin, request_turns
 from lambent_server.http.budget import SIGN_INS, Budget, Place, client_of_address, kind_of
 from lambent_server.http.identity import cookie_token, share_of_token, who_of_key, who_of_session
 from lambent_server.http.login_header import LOGIN_NAME
 from lambent_server.http.rates import Rates
 from lambent_server.http.rechecks import Identify, Rechecks
 from lambent_server.http.request import PUBLIC, SAFE, App, Exchange, Message, Receive, Scope, Send
-from lambent_server.http.request_turns import TURN, Turn, turns
+from lambent_server.http.request_turns import TURN, Turn
 from lambent_server.services import Services
 from lambent_server.storage.outages import away
 
@@ -52,7 +53,7 @@ class Gate:
         self._share_secret = share_secret
         self._budget = budget
         self._rates = Rates(services.settings)
-        self._turns = turns(services.settings)
+        self._turns = FairPlaces.shared(request_turns.THREADS, services.settings)
         self._rechecks = Rechecks(services.settings.stream_ping_s / 3)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

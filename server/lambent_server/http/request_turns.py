@@ -10,7 +10,6 @@ from contextlib import AsyncExitStack
 from fastapi import Request
 
 from lambent_server.api.fair_places import FairPlaces
-from lambent_server.core.settings import Settings
 
 THREADS = 40
 """As many as anyio has for requests."""
@@ -34,11 +33,6 @@ class Turn:
     async def leave(self) -> None:
         """Give the place back, if the request has one."""
         await self._held.aclose()
-
-
-def turns(settings: Settings) -> FairPlaces:
-    """Return the places of one process."""
-    return FairPlaces(THREADS, tenant_share=settings.tenant_share, client_share=settings.client_share)
 
 
 async def take_turn(request: Request) -> None:

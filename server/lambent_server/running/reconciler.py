@@ -9,19 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import structlog
-from sqlalchemy import Select, and_, exists, update
+from sqlalchemy import Column, ColumnElement, Select, and_, exists, update
 from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server.cluster import claims
 from lambent_server.core.clock import now, skipped_s
 from lambent_server.core.settings import Settings
-from lambent_server.database.schema import (
-    api_keys,
-    blobs,
-    bundle_files,
-    garbage,
-    jobs,
-)
+from lambent_server.database.schema import api_keys, blobs, bundle_files, garbage, jobs
 from lambent_server.database.tenancy import Tenant, across_tenants
 from lambent_server.maintenance import retention
 from lambent_server.maintenance.housekeeping import REFERENCES
@@ -162,7 +156,7 @@ def reconcile(services: Services) -> int:
             blobs_unreferenced=len(findings.unreferenced),
             uploads_abandoned=len(findings.staged) + len(findings.parts),
             blobs_lost=len(findings.lost),
-            examples=findings.lost[:10],
+            examples=findings.lost[:_EXAMPLES],
         )
     return len(findings.lost)
 
@@ -236,21 +230,23 @@ def remove_orphan(services: Services, sha256: str, before: float) -> bool:
 
 def _sizes(services: Services, prefix: str) -> dict[str, int]:
     """Return the sizes of the blobs that rows name, of hashes that begin with `prefix`."""
-    condition = and_(blobs.c.sha256 >= prefix, blobs.c.sha256 < prefix + "g")
+    named = across_tenants(blobs, blobs.c.sha256, blobs.c.size_bytes).where(_begins(blobs.c.sha256, prefix))
     with services.database.read() as connection:
-        sizes = connection.execute(across_tenants(blobs, blobs.c.sha256, blobs.c.size_bytes).where(condition))
-        return {sha256: int(size) for sha256, size in sizes}
+        return {sha256: int(size) for sha256, size in connection.execute(named)}
+
+
+def _begins(sha256: Column[str], prefix: str) -> ColumnElement[bool]:
+    return and_(sha256 >= prefix, sha256 < prefix + "g")
 
 
 def _reconcile_copies(services: Services, before: float) -> None:
     """Remove old compressed copies that no row names; forget lost ones, so that they are made again."""
     for prefix in _PREFIXES:
-        rows, files = _copies(services, prefix), services.store.listed(prefix, GZIP)
+        with services.database.read() as connection:
+            rows = {sha256: int(size) for sha256, size in connection.execute(_named_copies(prefix))}
+        files = services.store.listed(prefix, GZIP)
         lost = [sha256 for sha256, size in rows.items() if files.get(sha256, (-1, 0.0))[0] != size]
-        for sha256 in lost:
-            statement = update(bundle_files).where(bundle_files.c.sha256 == sha256).values(gzip_bytes=None)
-            with services.database.write() as connection:
-                connection.execute(statement)
+        _forget_copies(services, lost)
         for sha256, (_, at) in files.items():
             if sha256 in rows or at >= before:
                 continue
@@ -262,32 +258,26 @@ def _reconcile_copies(services: Services, before: float) -> None:
 
 def _compress_again(services: Services, lost: set[str]) -> None:
     """Forget which files could not be compressed because their bytes were gone, where these are back."""
-    column = bundle_files.c.gzip_bytes
+    sha256, is_lost = bundle_files.c.sha256, bundle_files.c.gzip_bytes == LOST
     for prefix in _PREFIXES:
-        condition = and_(
-            bundle_files.c.sha256 >= prefix, bundle_files.c.sha256 < prefix + "g", column == LOST
-        )
+        statement = across_tenants(bundle_files, sha256).where(_begins(sha256, prefix), is_lost).distinct()
         with services.database.read() as connection:
-            passed_over = connection.execute(
-                across_tenants(bundle_files, bundle_files.c.sha256).where(condition).distinct()
-            )
-            back = [sha256 for sha256 in passed_over.scalars() if sha256 not in lost]
-        for sha256 in back:
-            statement = update(bundle_files).where(bundle_files.c.sha256 == sha256, column == LOST)
-            with services.database.write() as connection:
-                connection.execute(statement.values(gzip_bytes=None))
+            back = [each for each in connection.execute(statement).scalars() if each not in lost]
+        _forget_copies(services, back, is_lost)
 
 
-def _copies(services: Services, prefix: str) -> dict[str, int]:
-    """Return the sizes of the compressed copies that rows name, of hashes that begin with `prefix`."""
-    with services.database.read() as connection:
-        return {sha256: int(size) for sha256, size in connection.execute(_named_copies(prefix))}
+def _forget_copies(services: Services, hashes: Iterable[str], *conditions: ColumnElement[bool]) -> None:
+    """Let it be decided again whether these files are compressed."""
+    for sha256 in hashes:
+        statement = update(bundle_files).where(bundle_files.c.sha256 == sha256, *conditions)
+        with services.database.write() as connection:
+            connection.execute(statement.values(gzip_bytes=None))
 
 
 def _named_copies(prefix: str) -> Select[Any]:
+    """Return the query of hash and size of the copies that rows name, of hashes that begin with `prefix`."""
     sha256, size = bundle_files.c.sha256, bundle_files.c.gzip_bytes
-    condition = and_(sha256 >= prefix, sha256 < prefix + "g", size > 0)
-    return across_tenants(bundle_files, sha256, size).where(condition)
+    return across_tenants(bundle_files, sha256, size).where(_begins(sha256, prefix), size > 0)
 
 
 def remove_folders(services: Services) -> None:

@@ -204,13 +204,12 @@ def environment_head(path: Path, settings: Settings) -> EnvironmentHead:
     with _decoder("environment", path, settings, max_pixels=settings.max_environment_pixels) as decoder:
         told = decoder.message()
         kind, width, height = told.get("format"), told.get("width"), told.get("height")
-        if not isinstance(kind, str) or kind not in MEDIA_TYPES:
-            raise decoder.stopped(UNKNOWN_MESSAGE)
-        if not _is_size(width) or not _is_size(height):
+        is_known = isinstance(kind, str) and kind in MEDIA_TYPES
+        if not is_known or not _is_size(width) or not _is_size(height):
             raise decoder.stopped(UNKNOWN_MESSAGE)
         if width * height > settings.max_environment_pixels:
             raise decoder.stopped(UNKNOWN_MESSAGE)
-    return EnvironmentHead(kind, width, height)
+    return EnvironmentHead(str(kind), width, height)
 
 
 def _is_size(value: object) -> TypeGuard[int]:

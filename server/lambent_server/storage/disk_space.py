@@ -9,8 +9,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 from lambent_server.api.problems import Problem
 
@@ -43,9 +41,17 @@ class Space:
         with self._lock:
             self._require(0, floor_part)
 
-    def body(self, tenant_id: str, *, allowance: Allowance | None = None, floor_part: float = 1.0) -> "Body":
-        """Return what counts the bytes of one body; used in a `with` block."""
-        return Body(self, tenant_id, allowance, floor_part)
+    @contextmanager
+    def body(
+        self, tenant_id: str, *, allowance: Allowance | None = None, floor_part: float = 1.0
+    ) -> Iterator["Body"]:
+        """Yield what counts the bytes of one body inside the `with` block."""
+        body = Body(self, tenant_id, allowance, floor_part)
+        try:
+            yield body
+        finally:
+            with self._lock:
+                self._held -= Counter({tenant_id: body.size})
 
     @contextmanager
     def taking(self, size: int, floor_part: float = 1.0) -> Iterator[None]:
@@ -90,24 +96,15 @@ class Space:
             )
 
 
+@dataclass(slots=True, eq=False)
 class Body:
     """The bytes of one body."""
 
-    def __init__(self, space: Space, tenant_id: str, allowance: Allowance | None, floor_part: float) -> None:
-        self._space = space
-        self.tenant_id = tenant_id
-        self.allowance = allowance
-        self.floor_part = floor_part
-        self._size = 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, _t: type[BaseException] | None, _e: BaseException | None, _b: TracebackType | None
-    ) -> None:
-        with self._space._lock:
-            self._space._held -= Counter({self.tenant_id: self._size})
+    _space: Space
+    tenant_id: str
+    allowance: Allowance | None
+    floor_part: float
+    size: int = 0
 
     def expect(self, size: int) -> None:
         """Refuse a body of an announced size that has no room now; nothing is kept for it."""
@@ -121,7 +118,7 @@ class Body:
             self._space._expect(self, size)
             self._space._held[self.tenant_id] += size
             self._space._coming += size
-            self._size += size
+            self.size += size
         try:
             yield
         finally:
