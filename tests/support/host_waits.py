@@ -12,7 +12,7 @@ READS = {"_local_scalar_dense", "is_nonzero", "equal"}
 SHAPES = {"nonzero", "masked_select", "unique_dim", "_unique", "_unique2", "repeat_interleave.Tensor"}
 COPIES = {"lift_fresh"}
 """Tensors from Python's numbers or from arrays."""
-OF_PROCESSORS = "cpu_tensors.py"
+OF_PROCESSORS = "kernels/cpu.py"
 """Its compiled loops return arrays; a GPU has other kernels."""
 
 

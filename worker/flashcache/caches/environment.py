@@ -45,7 +45,7 @@ class Environment(nn.Module):
     """Radiance of the surroundings by direction, not negative, linear Rec. 709.
 
     With `rotations_deg` all lights share one environment: that of a light is the shared one turned by its
-    angle about +z. The environments of the lights `known` (indices; any of them stands for all where lights
+    angle about +z. The environments of the lights `known` (indices; any of them means all where lights
     are rotated) are given by `set_known` and never learned. With `turns` a light index is the number of
     a turn of one environment, which is that of turn 0.
     """

@@ -43,16 +43,14 @@ class FastCacheConfig:
     decoder_widths: tuple[int, int] = (64, 128)
 
 
-class FastCacheAnswer(NamedTuple):
-    """The fast cache's answers for a batch of rays."""
+class CacheAnswer(NamedTuple):
+    """A cache's answers for a batch of secondary rays."""
 
     near_radiance: Float[Tensor, "rays 3"]
     """Linear, premultiplied by opacity, without environment."""
     opacity: Float[Tensor, " rays"]
     distance: Float[Tensor, " rays"]
     """From the ray's origin, scene units; the far end where nothing is hit."""
-    sample_distances: Float[Tensor, "rays samples"]
-    sample_weights: Float[Tensor, "rays samples"]
 
 
 class FastCache(nn.Module):
@@ -114,7 +112,7 @@ class FastCache(nn.Module):
         origins: Float[Tensor, "rays 3"],
         directions: Float[Tensor, "rays 3"],
         light_index: Int[Tensor, " rays"],
-    ) -> FastCacheAnswer:
+    ) -> CacheAnswer:
         """Return radiance, opacity and distance along rays from (offset) surface points.
 
         Without gradients one compiled function answers, where there is one (`dispatch.answers_compiled`).
@@ -147,9 +145,9 @@ class FastCache(nn.Module):
         mean = (weights * distances).sum(dim=-1) / opacity.clamp_min(LEAST_OPACITY)
         distance = torch.where(opacity < LEAST_OPACITY, torch.full_like(mean, self.far), mean)
         # Differs from the paper: colour times opacity (docs/decisions/0019-small-departures.md).
-        return FastCacheAnswer(opacity[:, None] * colour, opacity, distance, distances, weights)
+        return CacheAnswer(opacity[:, None] * colour, opacity, distance)
 
-    def _answer_compiled(self, origins: Tensor, directions: Tensor, light_index: Tensor) -> FastCacheAnswer:
+    def _answer_compiled(self, origins: Tensor, directions: Tensor, light_index: Tensor) -> CacheAnswer:
         """Return what `forward` does in torch, up to rounding; the decoder must see nothing but features."""
         layers = Layers()
         for layer in self.code.layers:
@@ -159,11 +157,11 @@ class FastCache(nn.Module):
             layers.add(layer, blocks.RELU)
         layers.add(self.decoder_head)
         start, end = (SECONDARY_CURVE.ladder(torch.tensor(limit)) for limit in (self.near, self.far))
-        count, num_rays = self.config.num_samples, len(origins)
+        num_rays = len(origins)
         query = fast_query.FastQuery(
             num_code=len(self.code.layers),
             num_distance=len(self.distance_network.layers),
-            num_samples=count,
+            num_samples=self.config.num_samples,
             num_lights=self.num_lights,
             position_frequencies=self.position_frequencies,
             direction_frequencies=self.config.num_frequencies,
@@ -176,8 +174,7 @@ class FastCache(nn.Module):
             widest=max(layers.widest, self.feature_grid.out_features),
             least_opacity=np.float32(LEAST_OPACITY),
         )
-        shapes = (num_rays, 3), num_rays, num_rays, (num_rays, count), (num_rays, count)
-        answer = FastCacheAnswer(*(torch.empty(shape) for shape in shapes))
+        answer = CacheAnswer(torch.empty(num_rays, 3), torch.empty(num_rays), torch.empty(num_rays))
         over_rows(
             fast_query.answer,
             num_rays,

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from flashcache.caches.fast_cache import FastCache, FastCacheConfig
+from flashcache.caches.fast_cache import CacheAnswer, FastCache, FastCacheConfig
 from flashcache.encoding.hash_grid import HashGridConfig
 from flashcache.encoding.occupancy import Occupancy
 from flashcache.encoding.turns import LightTurns
@@ -63,10 +63,10 @@ class NerfCacheConfig:
     secondary_colours: int = 0
     """Points at which a secondary ray's radiance is evaluated, drawn by weight; 0 evaluates all."""
     secondary_sure_opacity: float = 0.0
-    """Opacity from which the drawn points of a secondary ray are all asked for radiance; of less opaque rays
-    a share is, the quotient of the opacities, which counts for the others. 0 asks all."""
+    """Opacity from which the radiance of all drawn points of a secondary ray is evaluated. Of less opaque
+    rays a share is, the quotient of the opacities, which counts for the others; 0: always all."""
     least_weight: float = 0.0
-    """Render weight up to which a point on a camera ray is not asked for its radiance and sends none."""
+    """Render weight up to which a point on a camera ray is not evaluated and sends no radiance."""
     normal_floor: float = 4.0
     """Gradient of log density below which derived normals shrink [1/scene unit]."""
     exponent: float = 1.0
@@ -94,14 +94,6 @@ class Geometry(NamedTuple):
     def opacity(self) -> Float[Tensor, " rays"]:
         """Sum of the render weights."""
         return self.weights.sum(dim=-1)
-
-
-class CacheAnswer(NamedTuple):
-    """The NeRF cache's answers for a batch of secondary rays."""
-
-    near_radiance: Float[Tensor, "rays 3"]
-    opacity: Float[Tensor, " rays"]
-    distance: Float[Tensor, " rays"]
 
 
 class Meeting(NamedTuple):

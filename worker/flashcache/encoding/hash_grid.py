@@ -94,7 +94,7 @@ class HashGrid(nn.Module):
         `points` and `radius`, the radius that contraction maps to 1, are in scene units.
         """
         if dispatch.is_fused(self.table.device, self.table.dtype):
-            from flashcache.kernels.mixture import encode_mixture
+            from flashcache.kernels.gpu_mixture import encode_mixture
 
             mixed = encode_mixture(
                 points, weights, self.table, self.layout, radius, in_place_gradient=self.in_place_gradient

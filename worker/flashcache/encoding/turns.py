@@ -1,6 +1,6 @@
-"""The turns of a light that does not stand still with the object, and the numbers that tell networks of them.
+"""The turns of a light that moves relative to the object, and their encoding for networks.
 
-A turn is the rotation from world directions at one photograph to the frame in which the light stands still;
+A turn is the rotation from world directions at one photograph to the frame in which the light is fixed;
 light number 0 is the turn of the reference, the identity.
 """
 

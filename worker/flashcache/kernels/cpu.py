@@ -2,7 +2,8 @@
 
 numba's own threading would load a second OpenMP runtime beside torch's, so the kernels release the
 interpreter lock and the work is cut by hand: points in the forward pass, levels in the backward pass. Each
-row of a gradient is summed by one task in the order of the points, whatever the number of threads.
+row of a gradient is summed by one task in the order of the points, whatever the number of threads, of which
+there are as many as torch uses. The loops share memory with the tensors.
 The number of features is a constant of the compiled code; with a run-time number the loops are half as fast.
 """
 
@@ -14,8 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from lambent_compute.compiling import compiled, inlined
 from numpy.typing import NDArray
+from torch import Tensor
 
 from flashcache.kernels.layout import GridLayout, level_constants
 
@@ -50,72 +53,82 @@ class Kernels(NamedTuple):
     position_gradient: Kernel
 
 
-def encode(z: Array, table: Array, layout: GridLayout, num_threads: int) -> Array:
-    """Return the features [points, outputs] of `z` [points, 3]."""
+def encode(
+    z: Float[Tensor, "points 3"], table: Float[Tensor, "rows features"], layout: GridLayout
+) -> Float[Tensor, "points outputs"]:
+    """Return the features of `z`."""
     kernels, levels = _kernels(layout.num_features), levels_of(layout)
     features = np.empty((len(z), layout.num_outputs), np.float32)
-    _over_points(kernels.forward, len(z), layout, num_threads, (z, table, *levels, features))
-    return features
+    _over_points(kernels.forward, layout, (_array(z), table.numpy(), *levels, features))
+    return torch.from_numpy(features)
 
 
-def encode_with_jacobian(z: Array, table: Array, layout: GridLayout, num_threads: int) -> tuple[Array, Array]:
-    """Return the features [points, outputs] of `z` and their derivative [points, outputs, 3]."""
+def encode_with_jacobian(
+    z: Float[Tensor, "points 3"], table: Float[Tensor, "rows features"], layout: GridLayout
+) -> tuple[Float[Tensor, "points outputs"], Float[Tensor, "points outputs 3"]]:
+    """Return the features of `z` and their derivative by `z`."""
     kernels, levels = _kernels(layout.num_features), levels_of(layout)
     features = np.empty((len(z), layout.num_outputs), np.float32)
     jacobian = np.empty((len(z), layout.num_outputs, 3), np.float32)
-    arguments = (z, table, *levels, features, jacobian)
-    _over_points(kernels.forward_jacobian, len(z), layout, num_threads, arguments)
-    return features, jacobian
+    _over_points(kernels.forward_jacobian, layout, (_array(z), table.numpy(), *levels, features, jacobian))
+    return torch.from_numpy(features), torch.from_numpy(jacobian)
 
 
 def position_gradient(
-    z: Array, table: Array, layout: GridLayout, features_gradient: Array, num_threads: int
-) -> Array:
-    """Return the gradient by `z` [points, 3], given the one by the features."""
+    z: Float[Tensor, "points 3"],
+    table: Float[Tensor, "rows features"],
+    layout: GridLayout,
+    features_gradient: Float[Tensor, "points outputs"],
+) -> Float[Tensor, "points 3"]:
+    """Return the gradient by `z`, given the one by the features."""
     kernels, levels = _kernels(layout.num_features), levels_of(layout)
     gradient = np.empty((len(z), 3), np.float32)
-    arguments = (z, table, *levels, features_gradient, gradient)
-    _over_points(kernels.position_gradient, len(z), layout, num_threads, arguments)
-    return gradient
+    arguments = (_array(z), table.numpy(), *levels, _array(features_gradient), gradient)
+    _over_points(kernels.position_gradient, layout, arguments)
+    return torch.from_numpy(gradient)
 
 
 def add_table_gradient(
-    z: Array,
+    z: Float[Tensor, "points 3"],
     layout: GridLayout,
-    features_gradient: Array,
-    jacobian_gradient: Array | None,
-    gradient: Array,
-    num_threads: int,
+    features_gradient: Float[Tensor, "points outputs"],
+    jacobian_gradient: Float[Tensor, "points outputs 3"] | None,
+    gradient: Float[Tensor, "rows features"],
     *,
     overwrite: bool = False,
 ) -> None:
-    """Add the gradient by the table to `gradient` [rows, features], or write it there.
+    """Add the gradient by the table to `gradient`, or write it there.
 
-    `jacobian_gradient` [points, outputs, 3] is None where only features were used.
+    `jacobian_gradient` is None where only features were used.
     """
     kernels, levels = _kernels(layout.num_features), levels_of(layout)
+    kernel, given = kernels.table_gradient, [_array(features_gradient)]
+    if jacobian_gradient is not None:
+        kernel, given = kernels.table_gradient_jacobian, [*given, _array(jacobian_gradient)]
+    points, sums = _array(z), gradient.numpy()
 
     def one_level(level: int) -> None:
         le = layout.levels[level]
         if overwrite:
-            gradient[le.first_row : le.first_row + le.num_rows] = 0.0
-        if jacobian_gradient is None:
-            kernels.table_gradient(level, z, *levels, features_gradient, gradient)
-        else:
-            kernels.table_gradient_jacobian(level, z, *levels, features_gradient, jacobian_gradient, gradient)
+            sums[le.first_row : le.first_row + le.num_rows] = 0.0
+        kernel(level, points, *levels, *given, sums)
 
     # Fine levels first: they take longest, for their rows are far apart.
     order = range(len(layout.levels) - 1, -1, -1)
+    num_threads = torch.get_num_threads()
     if num_threads > 1 and len(z) * len(layout.levels) > PARALLEL_POINTS * num_threads:
         in_pool(one_level, order, num_threads)
     else:
         _drain(map(one_level, order))
 
 
-def _over_points(
-    kernel: Kernel, num_points: int, layout: GridLayout, num_threads: int, arguments: Sequence[Any]
-) -> None:
-    """Run `kernel(first, last, *arguments)` over all points, in pieces of whole blocks."""
+def _array(tensor: Tensor) -> Array:
+    return tensor.contiguous().numpy()
+
+
+def _over_points(kernel: Kernel, layout: GridLayout, arguments: Sequence[Any]) -> None:
+    """Run `kernel(first, last, *arguments)` over the points, the first argument, in pieces of blocks."""
+    num_points, num_threads = len(arguments[0]), torch.get_num_threads()
     pieces = min(num_threads, 1 + num_points * len(layout.levels) // PARALLEL_POINTS)
     if pieces <= 1:
         kernel(0, num_points, *arguments)

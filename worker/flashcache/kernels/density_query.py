@@ -133,7 +133,7 @@ def densities(points, count, grid, networks, density, occupancy, box, scratch, r
 
 @inlined()
 def of_raw(raw, bias):
-    """Return the density that the network's output stands for."""
+    """Return the density for a network's raw output."""
     logarithm = raw + bias
     return functions.exponential(LARGEST_LOGARITHM if logarithm > LARGEST_LOGARITHM else logarithm)
 

@@ -171,9 +171,9 @@ def _backend(device: torch.device, dtype: torch.dtype) -> Backend | None:
     if _CHOICE == "reference" or dtype != torch.float32:
         return None
     if device.type == "cpu":
-        from flashcache.kernels import cpu_tensors
+        from flashcache.kernels import cpu
 
-        return cpu_tensors
+        return cpu
     if device.type == "cuda" and _has_triton():
         from flashcache.kernels import gpu
 

@@ -50,9 +50,9 @@ class FastQuery(NamedTuple):
 @compiled()
 def answer(
     begin, end, origins, directions, light, distance_table, feature_table, parameters, settings,
-    radiance, opacity, distance, places, weights,
+    radiance, opacity, distance,
 ):  # fmt: skip
-    """Write the answers to the rays `begin` to `end`: the five results of `FastCache.forward`.
+    """Write the answers to the rays `begin` to `end`: the results of `FastCache.forward`.
 
     The four arguments after `light` are two `Grid`, `Networks` and `FastQuery` as plain tuples.
     """
@@ -161,10 +161,6 @@ def answer(
                     rays[2, r] + t[k, r] * rays[5, r],
                     query.inverse_radius,
                 )
-        for r in range(size):
-            for k in range(count):
-                places[start + r, k] = t[k, r]
-                weights[start + r, k] = w[k, r]
         lookup.encode(points, stride * count, feature_grid, voxels, features, 0)
         for c in range(0, size, COLUMNS):
             rows = min(COLUMNS, size - c)

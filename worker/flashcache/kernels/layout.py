@@ -52,11 +52,6 @@ class GridLevel:
     multiplier_y: int
     multiplier_z: int
 
-    @property
-    def is_dense(self) -> bool:
-        """Whether every voxel has a row of its own."""
-        return self.num_rows == self.resolution**3
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GridLayout:

@@ -5,13 +5,13 @@ from torch import Tensor
 
 from flashcache.caches.nerf_cache import SECONDARY_CURVE
 from flashcache.color import loss_curve
-from flashcache.physical.incident import Incident, RayLimits
+from flashcache.physical.incident import NearField, RayLimits
 from flashcache.rows import mean_where
 
 
 def fast_cache_loss(
-    answer: Incident,
-    target: Incident,
+    answer: NearField,
+    target: NearField,
     inside: Float[Tensor, " rays"],
     limits: RayLimits,
     *,

@@ -15,7 +15,7 @@ from flashcache.data.ray_batches import RayBatch, TrainingPixels
 from flashcache.losses.fast_cache import fast_cache_loss
 from flashcache.parallel.processes import Processes
 from flashcache.parallel.ranks import Ranks
-from flashcache.physical.incident import Incident, SecondaryRays
+from flashcache.physical.incident import SecondaryRays
 from flashcache.physical.model import InverseModel
 from flashcache.randomness import generator_for
 from flashcache.training.distillation_rays import relit_rays, solid_points
@@ -45,8 +45,8 @@ class DistilLosses:
             return 0.0 * torch.stack([one.sum() for one in model.fast.parameters()]).sum(), 0.0
         answer = model.fast(rays.origins, rays.directions, rays.light_index)
         loss = fast_cache_loss(
-            Incident(answer.near_radiance, answer.opacity, answer.distance),
-            Incident(seen.near_radiance, seen.opacity, seen.distance),
+            answer,
+            seen,
             in_reach(model, rays),
             model.limits,
             counted=rays.counted,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from flashcache.caches.fast_cache import FastCache, FastCacheAnswer, FastCacheConfig
+from flashcache.caches.fast_cache import CacheAnswer, FastCache, FastCacheConfig
 from flashcache.encoding.hash_grid import HashGridConfig
 from flashcache.encoding.turns import IDENTITY, LightTurns
 from flashcache.kernels import dispatch
@@ -48,7 +48,7 @@ def rays(count: int) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.randn(count, 3, generator=generator), directions
 
 
-def answers(made: FastCache, count: int, light: torch.Tensor) -> tuple[FastCacheAnswer, FastCacheAnswer]:
+def answers(made: FastCache, count: int, light: torch.Tensor) -> tuple[CacheAnswer, CacheAnswer]:
     """Return the compiled answer and that of torch."""
     with torch.no_grad():
         compiled = made(*rays(count), light)

@@ -1,5 +1,5 @@
 import torch
-from flashcache.caches.fast_cache import FastCache, FastCacheAnswer, FastCacheConfig
+from flashcache.caches.fast_cache import CacheAnswer, FastCache, FastCacheConfig
 from flashcache.caches.nerf_cache import SECONDARY_CURVE
 from flashcache.encoding.hash_grid import HashGridConfig
 
@@ -20,7 +20,7 @@ def cache(num_lights: int = 1) -> FastCache:
     return FastCache(config, 1.5, num_lights, (NEAR, FAR))
 
 
-def ask(made: FastCache, light: int = 0) -> FastCacheAnswer:
+def ask(made: FastCache, light: int = 0) -> CacheAnswer:
     generator = torch.Generator().manual_seed(1)
     directions = torch.nn.functional.normalize(torch.randn(30, 3, generator=generator), dim=-1)
     return made(torch.randn(30, 3, generator=generator), directions, torch.full((30,), light))
@@ -37,23 +37,26 @@ def unsettled(made: FastCache) -> FastCache:
 def test_a_new_cache_spreads_its_samples_over_the_uniform_ladder():
     ladder = SECONDARY_CURVE.distance(torch.linspace(0, 1, 8), torch.tensor(NEAR), torch.tensor(FAR))
     found = ask(cache())
-    torch.testing.assert_close(found.sample_distances, ladder.expand(30, 8))
     torch.testing.assert_close(found.opacity, torch.sigmoid(torch.tensor(2.0)).expand(30))
+    torch.testing.assert_close(found.distance, ladder.mean().expand(30))
 
 
 def test_samples_stay_between_near_and_far_however_large_their_offsets():
-    distances = ask(unsettled(cache())).sample_distances
+    offset, gate = 20.0 * torch.randn(2, 30, 8, generator=torch.Generator().manual_seed(1))
+    distances = cache()._sample_distances(offset, gate)
     assert distances.min() >= NEAR - 1e-5
     assert distances.max() <= FAR + 1e-5
     assert distances.std() > 0.1
 
 
-def test_opacity_is_the_sum_of_the_weights_and_distance_their_mean():
-    found = ask(unsettled(cache()))
-    seen = found.opacity > 1e-3
-    torch.testing.assert_close(found.opacity, found.sample_weights.sum(dim=-1))
-    mean = (found.sample_weights * found.sample_distances).sum(dim=-1) / found.opacity
-    torch.testing.assert_close(found.distance[seen], mean[seen])
+def test_distance_is_the_mean_over_the_weights_of_the_samples(monkeypatch):
+    places = torch.linspace(0.2, 1.6, 8)
+    monkeypatch.setattr(FastCache, "_sample_distances", lambda *_: places.expand(30, 8))
+    made = cache()
+    with torch.no_grad():
+        made.distance_head.bias[16:24] = torch.arange(8.0)
+    weights = torch.softmax(torch.arange(8.0), dim=0)
+    torch.testing.assert_close(ask(made).distance, (weights * places).sum().expand(30))
 
 
 def test_an_empty_ray_is_black_and_ends_far_away():
