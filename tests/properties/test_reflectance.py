@@ -4,8 +4,8 @@ import pytest
 import torch
 from flashcache.physical.brdf import ggx_density
 from flashcache.physical.estimator import DirectionCounts, EstimatorConfig, control_variate
-from flashcache.physical.incident import Incident, LightSources, RayLimits, unoccluded
-from support.shading import case, unit
+from flashcache.physical.incident import Incident, LightSources, RayLimits
+from support.shading import case, unit, unoccluded
 from support.sphere import sphere_quadrature
 from support.statistics import assert_mean
 

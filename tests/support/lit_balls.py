@@ -18,11 +18,11 @@ from flashcache.geometry.directions import (
 )
 from flashcache.geometry.rays import pixel_directions
 from flashcache.physical.brdf import DIELECTRIC_F0, brdf_cos
-from flashcache.physical.incident import unoccluded
 from flashcache.physical.model import InverseModel, ModelConfig
 from flashcache.volume.proposal_sampling import SampleCounts
 from lambent_core.scene import Camera, Scene, View
 from support.lit_sphere import camera, lit_domain
+from support.shading import unoccluded
 from support.sphere_model import small_config
 from torch import Tensor
 

@@ -20,6 +20,12 @@ def unit(*components: float) -> torch.Tensor:
     return vector / vector.norm()
 
 
+def unoccluded(rays: SecondaryRays) -> Incident:
+    """Return the answer of empty space: no near radiance, no occlusion."""
+    near = torch.zeros_like(rays.origins)
+    return Incident(near, near[:, 0], torch.full_like(near[:, 0], rays.far))
+
+
 NORMAL = unit(0.3, -0.2, 0.9)
 OMEGA_O = unit(0.6, 0.3, 0.8)
 

@@ -120,7 +120,7 @@ class _Probe:
     """A model of full size in an invented scene."""
 
     def __init__(self, config: Config, num_lights: int, fixed: bool) -> None:
-        # At first no point of a ray weighs too little to be asked for its radiance: that is the peak. An
+        # At first no point of a ray weighs too little to be evaluated: that is the peak. An
         # invented scene says nothing of how many secondary rays meet next to nothing either.
         nerf = replace(config.model.nerf, least_weight=0.0, secondary_sure_opacity=0.0)
         config = replace(config, model=replace(config.model, nerf=nerf))
@@ -151,7 +151,7 @@ class _Probe:
         hook.remove()
         stage_two = self.config.stage_two
         asked_by_prior = GREY_DIRECTIONS if stage_two.grey_weight or stage_two.tint_weight else 0
-        # Both passes ask: at once, or one after the other.
+        # Both passes trace them: at once, or one after the other.
         calls = 1 if self.config.stage_two.symmetric else 2
         return meter.peak, (traced[0] - asked_by_prior) // calls
 

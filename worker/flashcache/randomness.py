@@ -40,7 +40,7 @@ class KeptGenerators:
 
     @contextmanager
     def in_use(self, step: int) -> Iterator[None]:
-        """Let `generator_for` return these, seeded for `step`; it may be asked for a purpose once in each."""
+        """Let `generator_for` return these, seeded for `step`, once for each purpose."""
         self.seed(step)
         before = _KEPT.set(self)
         try:

@@ -1,7 +1,7 @@
 """Rows of a batch that count: picked out, or left in place among rows of weight zero.
 
-Picking saves the work for the others, but the number of rows is only known to the device, and a host that
-asks a GPU waits for it. With fixed shapes all rows stay, others get harmless inputs and no weight, and
+Picking saves the work for the others, but only the device knows the number of rows, and a host that reads it
+from a GPU waits. With fixed shapes all rows stay, others get harmless inputs and no weight, and
 each step has the same shapes.
 """
 

@@ -26,7 +26,7 @@ _LEAST_EMPTY = 0.02
 
 
 def fit_occupancy(model: InverseModel, scene: Scene) -> None:
-    """Let a model hold something inside of the visual hull of `scene` only, where its masks tell of one."""
+    """Empty a model outside of the visual hull of `scene`, where its masks determine one."""
     occupancy = model.nerf.occupancy
     if occupancy is not None:
         cells = hull_of(scene, model.config.occupancy)
@@ -35,7 +35,7 @@ def fit_occupancy(model: InverseModel, scene: Scene) -> None:
 
 
 def hull_of(scene: Scene, config: OccupancyConfig) -> Bool[ndarray, "x y z"] | None:
-    """Return the cells of the scene's box that may hold the object, or None where the masks tell nothing.
+    """Return the cells of the scene's box that may hold the object, or None where the masks show nothing.
 
     Where the masks agree, a cell is kept if every view that sees it has a mask within `config.margin_px` of
     it. They agree if nearly each of their pixels shows such a cell. Where they do not, some are wrong, and a

@@ -14,14 +14,6 @@ from flashcache.physical.shading import ShadingPoints
 _ESTIMATOR = EstimatorConfig(stratified=True)
 CORRECTION_COUNTS = DirectionCounts(cosine=1, sampler=2, specular=1)
 """Directions of a point that both caches answer."""
-
-
-def lighting_counts(total: int) -> DirectionCounts:
-    """Return the directions of a point: a quarter cosine, a quarter GGX, the rest the light sampler's."""
-    quarter = max(1, total // 4)
-    return DirectionCounts(cosine=quarter, sampler=max(1, total - 2 * quarter), specular=quarter)
-
-
 SKY_ROWS = 64
 """Of the picture of a learned environment from which directions are drawn."""
 
@@ -73,7 +65,7 @@ def lit_radiance(
 
     if rule.control_variate == "off":
         return shaded(nerf, CORRECTION_COUNTS)
-    radiance = shaded(fast, lighting_counts(num_directions))
+    radiance = shaded(fast, DirectionCounts.of_picture(num_directions))
     if rule.control_variate == "on":
         radiance = radiance + shaded(difference, CORRECTION_COUNTS)
     return radiance

@@ -29,7 +29,7 @@ class RenderRule:
     """How a model is rendered: an ablated model in the same way as it was trained."""
 
     control_variate: Literal["on", "off", "fast_only"] = "on"
-    """"off" asks the NeRF cache only, in pictures and for shadows: the fast cache was not trained."""
+    """"off" uses the NeRF cache only, in pictures and for shadows: the fast cache was not trained."""
     sampler: Literal["vmf", "none"] = "vmf"
     """"none" draws from the cosine where pictures would draw from the light, as the training did."""
     points: Literal["categorical", "depth"] = "categorical"
@@ -69,7 +69,7 @@ def variance_of_mean(spread: Spread) -> Float[Tensor, "pixels 3"]:
     From two repeats on it is unbiased: (sum of the strata's variances) / (K^2 R). One repeat alone cannot
     tell a difference between two strata from noise; then neighbouring strata are compared, which is unbiased
     where they have the same mean and too large otherwise (Cochran, Sampling Techniques, 5A.12). A single
-    value tells nothing: not a number.
+    value has no spread: the result is NaN.
     """
     strata = spread.mean.shape[1]
     if spread.count > 1:

@@ -45,15 +45,6 @@ class MapLight:
         return look_up(self.image[None], directions, torch.zeros_like(light_index))
 
 
-def relighting_counts(total: int) -> DirectionCounts:
-    """Return a point's directions: a quarter cosine, a quarter GGX, the rest in proportion to the map.
-
-    Three at least.
-    """
-    cosine, specular = max(1, total // 4), max(1, total // 4)
-    return DirectionCounts(cosine=cosine, sampler=max(1, total - cosine - specular), specular=specular)
-
-
 def relit_radiance(
     model: InverseModel,
     points: ShadingPoints,
@@ -102,7 +93,7 @@ def relit_radiance(
         scaled(model.materials(points.positions), ratio),
         replace(direct, near=near_field) if indirect else direct,
         light=light.sampler,
-        counts=relighting_counts(num_directions),
+        counts=DirectionCounts.of_picture(num_directions),
         config=config,
         generator=generator,
         continued=True,

@@ -109,8 +109,8 @@ class AppearanceField(nn.Module):
             num_inputs = self.directional.out_features + num_turn
         else:
             self.directional = IntegratedDirectionalEncoding(config.num_degrees)
-            # A camera that stands still sees the turning light's frame from one side only: an input that
-            # hardly varies would be learned by nobody and asked by every secondary ray.
+            # A fixed camera sees the turning light's frame from one side only: an input that
+            # hardly varies would not be learned, and yet be evaluated for every secondary ray.
             self.view_frequencies = config.view_frequencies if turns is None else -1
             num_view = 3 + 6 * self.view_frequencies if self.view_frequencies >= 0 else 0
             num_inputs = config.bottleneck + self.directional.out_features + num_view + num_turn

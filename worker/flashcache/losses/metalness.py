@@ -85,35 +85,17 @@ def _quantile_where(
     return torch.where(counted.any(), torch.lerp(low, high, place - place.floor()), torch.zeros_like(low))
 
 
-def metalness_prior(
-    metalness: Float[Tensor, "points 1"],
-    variation: Variation,
-    weight: Float[Tensor, " points"],
-    config: MetalnessPriorConfig,
-) -> Float[Tensor, ""]:
-    """Return the weighted mean squared distance of metalness from the value that `variation` suggests."""
-    return _distance_from(metalness, config.range, variation, weight, config)
-
-
-def smoothness_prior(
-    perceptual_roughness: Float[Tensor, "points 1"],
-    variation: Variation,
-    weight: Float[Tensor, " points"],
-    config: MetalnessPriorConfig,
-) -> Float[Tensor, ""]:
-    """Return the same for perceptual roughness, whose values at the two ends `config` must have."""
-    assert config.perceptual_roughness is not None
-    return _distance_from(perceptual_roughness, config.perceptual_roughness, variation, weight, config)
-
-
-def _distance_from(
+def variation_prior(
     values: Float[Tensor, "points 1"],
     ends: tuple[float, float],
     variation: Variation,
     weight: Float[Tensor, " points"],
     config: MetalnessPriorConfig,
 ) -> Float[Tensor, ""]:
-    """Return the weighted mean squared distance from the value between the ends that `variation` suggests."""
+    """Return the weighted mean squared distance of values from those that `variation` suggests.
+
+    `ends` are the values of a dielectric and of a metal: `config.range` for metalness.
+    """
     rise = _smooth_step(variation.own.detach(), config.variation)
     if config.bright_variation is not None:
         rise = torch.minimum(rise, _smooth_step(variation.bright.detach(), config.bright_variation))

@@ -1,4 +1,4 @@
-"""Priors that ask for nothing but plain values: grey environments, and small features of grids."""
+"""Priors on plain values: grey environments, and small features of grids."""
 
 from collections.abc import Iterable
 

@@ -63,7 +63,7 @@ class Processes:
                 asked.append(other)
             answers.append((True, own(*questions[0])))
         finally:
-            # Whatever happened here, nobody may be left with an answer that the next question would get.
+            # Also after an error: an answer that is left unread would be taken for that of the next question.
             answers += [other.answer() for other in asked]
         for succeeded, answer in answers:
             if not succeeded:

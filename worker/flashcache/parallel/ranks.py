@@ -92,10 +92,10 @@ class Ranks:
 
     def agree(self, *numbers: int) -> tuple[int, ...]:
         """Return the numbers that the first rank gives; what others give is ignored. All wait for it."""
-        told = torch.tensor(numbers, dtype=torch.int64)
+        agreed = torch.tensor(numbers, dtype=torch.int64)
         with _telling_of_loss():
-            dist.broadcast(told, 0, group=self._control)
-        return tuple(told.tolist())
+            dist.broadcast(agreed, 0, group=self._control)
+        return tuple(agreed.tolist())
 
     def hold_the_same(self, module: nn.Module) -> bool:
         """Return whether the values of a module are the same bits on all ranks."""
@@ -134,11 +134,6 @@ class Bucket:
             assert parameter.grad is not None
             inside = place[: parameter.numel()].view(parameter.shape)
             parameter.grad = inside.copy_(parameter.grad)
-
-    @property
-    def num_bytes(self) -> int:
-        """Return how many bytes ranks add in a step."""
-        return self._flat.numel() * self._flat.element_size()
 
     def add(self) -> None:
         """Replace the gradients by their sums over the ranks."""

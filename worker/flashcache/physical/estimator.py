@@ -55,6 +55,15 @@ class DirectionCounts:
             )
         return cls(cosine=total // 4, sampler=total // 4, specular=total // 2)
 
+    @classmethod
+    def of_picture(cls, total: int) -> "DirectionCounts":
+        """Return a point's directions in pictures: a quarter cosine, a quarter GGX, the rest by the light.
+
+        Three at least.
+        """
+        quarter = max(1, total // 4)
+        return cls(cosine=quarter, sampler=max(1, total - 2 * quarter), specular=quarter)
+
     def divided(self, parts: int) -> "DirectionCounts":
         """Return the directions of each of `parts` points that share these; no half is left without one.
 
@@ -76,7 +85,7 @@ class EstimatorConfig:
     exact: DirectionCounts = field(default_factory=lambda: DirectionCounts.split(16))
     """Directions of the correction, which both caches answer; all directions without the control variate."""
     control_variate: Literal["on", "off", "fast_only"] = "on"
-    """"off" asks the NeRF cache only. "fast_only" leaves the correction out and is biased; it traces exact
+    """"off" uses the NeRF cache only. "fast_only" leaves the correction out and is biased; it traces exact
     directions in training only, for the fast cache and the light sampler to learn from."""
     sampler: Literal["vmf", "none"] = "vmf"
     stratified: bool = False

@@ -108,7 +108,7 @@ EnvironmentSource = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class LightSources:
-    """What sends light to surface points, and the limits of the rays that ask for it."""
+    """What sends light to surface points, and the limits of the rays that gather it."""
 
     near: RadianceSource
     """The near field: a cache, or what a new light makes of one."""
@@ -126,9 +126,3 @@ def visibility_only(source: RadianceSource) -> RadianceSource:
         return Incident(torch.zeros_like(answer.near_radiance), answer.opacity, answer.distance)
 
     return shadows
-
-
-def unoccluded(rays: SecondaryRays) -> Incident:
-    """Return the answer of empty space: no near radiance, no occlusion."""
-    near = torch.zeros_like(rays.origins)
-    return Incident(near, near[:, 0], torch.full_like(near[:, 0], rays.far))

@@ -9,8 +9,8 @@ from numpy import ndarray
 from torch import nn
 
 from flashcache.caches.environment import Environment, EnvironmentConfig
-from flashcache.caches.fast_cache import FastCache, FastCacheConfig
-from flashcache.caches.nerf_cache import CacheAnswer, NerfCache, NerfCacheConfig
+from flashcache.caches.fast_cache import CacheAnswer, FastCache, FastCacheConfig
+from flashcache.caches.nerf_cache import NerfCache, NerfCacheConfig
 from flashcache.encoding.occupancy import Occupancy, OccupancyConfig
 from flashcache.encoding.turns import LightTurns
 from flashcache.fields.materials import MaterialConfig, MaterialField
@@ -51,7 +51,7 @@ class Domain:
     rotations_deg: tuple[float, ...] = ()
     """Angle of every light where they are one environment turned about +z; empty where each has its own."""
     known_lights: tuple[str, ...] = ()
-    """Lights whose environment is given and not learned; with `rotations_deg`, any name stands for all."""
+    """Lights whose environment is given and not learned; with `rotations_deg`, any name means all."""
     turns: tuple[tuple[float, ...], ...] = ()
     """Where the one light turns from photograph to photograph: its turns, row-major rotations from the world
     to the light's frame, the identity first. A light index is then the number of a turn."""

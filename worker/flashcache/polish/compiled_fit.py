@@ -53,7 +53,7 @@ class Arriving(NamedTuple):
 
 
 class Lobes(NamedTuple):
-    """The GGX widths that are tried, and how many half vectors stand for each."""
+    """The GGX widths that are tried, and the half vectors that sample each."""
 
     alphas: NDArray[np.float32]
     halves: NDArray[np.float32]

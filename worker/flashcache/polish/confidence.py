@@ -112,7 +112,7 @@ def confidence_of(
     """Return how well the observations of each element determine its `reflectance` under the light `sky`.
 
     The noise level is what `reflectance` leaves unexplained in an element and those around it, at least a
-    step of an 8-bit photograph. Clipped channels tell nothing. An element that nothing tells about keeps the
+    step of an 8-bit photograph. Clipped channels do not count. An element without information keeps the
     widths of the `priors`, and so do parameters that its photographs do not depend on.
     """
     predicted, jacobian = derivatives(elements, tables, sky, reflectance)

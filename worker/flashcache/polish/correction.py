@@ -40,7 +40,7 @@ def corrected_albedo(
     `render` returns the radiance of training pixels by the model that has learned `fitted`, with random
     numbers of their own for every repeat. The factor per channel is that of least squares over an element and
     those around it with similar albedo, weighted like the observations of the fit. Channels that are known to
-    be at least so bright do not ask for less. At most `MOST`, and near 1 where little light arrives.
+    be at least so bright do not lower it. At most `MOST`, and near 1 where little light arrives.
     """
     generator = torch.Generator().manual_seed(seed)
     some = torch.randperm(len(elements.pixel), generator=generator)[:MOST_PIXELS].sort().values

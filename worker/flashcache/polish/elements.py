@@ -77,20 +77,8 @@ class Elements:
     def of(self, kept: Bool[Tensor, " observations"]) -> "Elements":
         """Return the same elements with some of their observations; elements may be left without any."""
         counts = torch.zeros(len(self), dtype=torch.long).index_add_(0, self.element, kept.long())
-        rows = {
-            name: getattr(self, name)[kept]
-            for name in (
-                "points",
-                "omega_o",
-                "colour",
-                "clipped",
-                "detail",
-                "light",
-                "pixel",
-                "photograph",
-                "places",
-            )
-        }
+        names = ["points", "omega_o", "colour", "clipped", "detail", "light", "pixel", "photograph", "places"]
+        rows = {name: getattr(self, name)[kept] for name in names}
         return replace(self, first=torch.nn.functional.pad(counts.cumsum(0), (1, 0)), **rows)
 
     def split(self) -> tuple["Elements", "Elements"]:

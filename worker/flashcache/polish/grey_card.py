@@ -51,8 +51,6 @@ class Scaled:
 
     albedo: Float[Tensor, "elements 3"]
     sky: Float[Tensor, "lights cells 3"]
-    clamped_share: float = 0.0
-    """Share of elements that would reflect more than arrives in a channel, and reflect all of it now."""
     findings: tuple[tuple[str, str], ...] = ()
     """Code and message of what the user should know; with an error nothing was scaled."""
     values: dict[str, float] = field(default_factory=dict)
@@ -113,7 +111,7 @@ def scale_to_card(
         )
     red, green, blue = factor.tolist()
     values = {"card_red": red, "card_green": green, "card_blue": blue, "card_clamped": clamped}
-    return Scaled(scaled.clamp_max(1.0), sky / factor, clamped, tuple(findings), values, factor)
+    return Scaled(scaled.clamp_max(1.0), sky / factor, tuple(findings), values, factor)
 
 
 def settle_by_card(

@@ -1,4 +1,4 @@
-"""The environments, fitted to all observations while reflectance stands still."""
+"""The environments, fitted to all observations while reflectance stays fixed."""
 
 import math
 from dataclasses import dataclass

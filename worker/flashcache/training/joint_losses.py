@@ -13,12 +13,7 @@ from flashcache.fields.materials import Materials
 from flashcache.losses.clusters import ClusterConfig, gloss_differences, material_entropy
 from flashcache.losses.fast_cache import fast_cache_loss
 from flashcache.losses.light_sampler import light_sampler_loss
-from flashcache.losses.metalness import (
-    directional_variation,
-    directions_around,
-    metalness_prior,
-    smoothness_prior,
-)
+from flashcache.losses.metalness import directional_variation, directions_around, variation_prior
 from flashcache.losses.photometric import cache_photometric, consistency, mask_loss, physical_photometric
 from flashcache.losses.priors import grey_prior, grid_decay, tint_prior
 from flashcache.losses.smoothness import pseudo_albedo, smoothness
@@ -189,7 +184,7 @@ def metalness_terms(
     weight = prior.warmup_weight if warming_up else prior.weight
     if not weight:
         return {}
-    # One point of each ray: the appearance is asked for many directions.
+    # One point of each ray, because the appearance is evaluated in many directions.
     first, repeats = slice(len(batch)), prior.num_directions
     points = ShadingPoints(*(part[first] for part in shaded.points))
     with torch.no_grad():
@@ -207,10 +202,10 @@ def metalness_terms(
             outgoing.diffuse.reshape(shape), outgoing.specular.reshape(shape), seen
         )
     metalness = shaded.materials.metalness[first]
-    terms = {"metalness": weight * metalness_prior(metalness, variation, seen, prior)}
+    terms = {"metalness": weight * variation_prior(metalness, prior.range, variation, seen, prior)}
     if warming_up and prior.perceptual_roughness is not None:
         width = perceptual_roughness_from_alpha(shaded.materials.alpha[first])
-        terms["width"] = weight * smoothness_prior(width, variation, seen, prior)
+        terms["width"] = weight * variation_prior(width, prior.perceptual_roughness, variation, seen, prior)
     return terms
 
 

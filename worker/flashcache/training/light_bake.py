@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from flashcache.caches.fast_cache import FastCache
+from flashcache.caches.fast_cache import CacheAnswer, FastCache
 from flashcache.config import Rates
 from flashcache.errors import ConfigError
 from flashcache.geometry.directions import facing
@@ -246,9 +246,8 @@ class LightBake:
             generator=generator,
         ).rgb
 
-    def _fast(self, rays: SecondaryRays) -> Incident:
-        answer = self.model(rays.origins, rays.directions, rays.light_index)
-        return Incident(answer.near_radiance, answer.opacity, answer.distance)
+    def _fast(self, rays: SecondaryRays) -> CacheAnswer:
+        return self.model(rays.origins, rays.directions, rays.light_index)
 
     def _correction(self, rays: SecondaryRays, generator: torch.Generator) -> Incident:
         """Return what rays meet, shaded once more, minus the cache's answer.

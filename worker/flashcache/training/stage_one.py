@@ -109,7 +109,7 @@ class StageOne:
 def masked_psnr(premultiplied: Tensor, batch: RayBatch) -> Number:
     """Return the PSNR [dB] of a batch on sRGB values, over pixels that the object covers; 0 without any.
 
-    With fixed shapes it is a tensor that nobody has waited for.
+    With fixed shapes it is a tensor, which the host has not waited for.
     """
     covered = Rows.where(batch.coverage > 0.5)
     wanted = srgb_from_linear(covered.of(batch.colour * batch.coverage[:, None]))

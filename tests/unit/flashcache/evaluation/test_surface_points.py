@@ -13,8 +13,9 @@ from flashcache.evaluation.surface_points import (
     photographed_points,
     seen_points,
 )
-from flashcache.physical.incident import Incident, unoccluded
+from flashcache.physical.incident import Incident
 from support.lit_sphere import camera, lit_sphere
+from support.shading import unoccluded
 from support.sphere_model import RADIUS, sphere_model
 from support.statistics import assert_mean
 

@@ -1,7 +1,7 @@
 from dataclasses import replace
 
 import torch
-from flashcache.caches.fast_cache import FastCacheAnswer, FastCacheConfig
+from flashcache.caches.fast_cache import CacheAnswer, FastCacheConfig
 from flashcache.caches.nerf_cache import NerfCache, NerfCacheConfig
 from flashcache.encoding.hash_grid import HashGridConfig
 from flashcache.fields.appearance import Appearance, AppearanceConfig, AppearanceField
@@ -67,7 +67,7 @@ class Wall(torch.nn.Module):
 
     def forward(self, origins: torch.Tensor, directions: torch.Tensor, light_index: torch.Tensor):
         opacity = torch.full((len(origins),), self.opacity)
-        return FastCacheAnswer(0.25 * self.opacity * torch.ones_like(origins), opacity, *3 * [opacity])
+        return CacheAnswer(0.25 * self.opacity * torch.ones_like(origins), opacity, opacity)
 
 
 def reflected(opacity: float, seed: int = 3) -> torch.Tensor:

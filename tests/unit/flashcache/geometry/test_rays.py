@@ -1,51 +1,32 @@
 """Rays through pixels and their stretch inside the scene."""
 
+import pytest
 import torch
 from flashcache.geometry.rays import Rays, clip_to_box, pixel_directions
 
 BOX = torch.tensor([-1.0, -1.0, -1.0]), torch.tensor([1.0, 1.0, 1.0])
 
 
-def test_the_middle_of_the_picture_looks_along_minus_z_of_the_camera():
-    pose = torch.eye(4)
-    direction = pixel_directions(
-        torch.tensor([32.0]),
-        torch.tensor([32.0]),
-        torch.tensor([50.0, 50.0]),
-        torch.tensor([32.0, 32.0]),
-        pose,
-    )
-    assert torch.allclose(direction, torch.tensor([[0.0, 0.0, -1.0]]))
-
-
-def test_rows_grow_downwards_and_columns_to_the_right():
-    pose = torch.eye(4)
+def test_the_middle_looks_along_minus_z_rows_grow_downwards_and_columns_to_the_right():
     focal, centre = torch.tensor([50.0, 50.0]), torch.tensor([32.0, 32.0])
-    down = pixel_directions(torch.tensor([32.0]), torch.tensor([60.0]), focal, centre, pose)
-    right = pixel_directions(torch.tensor([60.0]), torch.tensor([32.0]), focal, centre, pose)
-    assert down[0, 1] < 0.0
-    assert right[0, 0] > 0.0
+    columns, rows = torch.tensor([[32.0, 32.0, 60.0], [32.0, 60.0, 32.0]])
+    middle, down, right = pixel_directions(columns, rows, focal, centre, torch.eye(4))
+    assert torch.allclose(middle, torch.tensor([0.0, 0.0, -1.0]))
+    assert down[1] < 0.0
+    assert right[0] > 0.0
 
 
-def test_a_ray_is_cut_to_the_box():
-    rays = clip_to_box(torch.tensor([[-4.0, 0.0, 0.0]]), torch.tensor([[1.0, 0.0, 0.0]]), *BOX, 0.5, 10.0)
-    assert torch.allclose(rays.near, torch.tensor([3.0]))
-    assert torch.allclose(rays.far, torch.tensor([5.0]))
+@pytest.mark.parametrize(("limits", "stretch"), [((0.5, 10.0), (3.0, 5.0)), ((3.5, 4.0), (3.5, 4.0))])
+def test_a_ray_is_cut_to_the_box_and_to_its_limits(limits, stretch):
+    rays = clip_to_box(torch.tensor([[-4.0, 0.0, 0.0]]), torch.tensor([[1.0, 0.0, 0.0]]), *BOX, *limits)
+    assert (float(rays.near), float(rays.far)) == pytest.approx(stretch)
 
 
-def test_a_ray_that_misses_the_box_has_an_empty_stretch():
-    rays = clip_to_box(torch.tensor([[-4.0, 3.0, 0.0]]), torch.tensor([[1.0, 0.0, 0.0]]), *BOX, 0.5, 10.0)
+@pytest.mark.parametrize(("height", "along"), [(3.0, 1.0), (0.0, -1.0)])
+def test_a_ray_that_misses_the_box_or_looks_away_has_an_empty_stretch(height, along):
+    origins, directions = torch.tensor([[-4.0, height, 0.0]]), torch.tensor([[along, 0.0, 0.0]])
+    rays = clip_to_box(origins, directions, *BOX, 0.5, 10.0)
     assert rays.near == rays.far
-
-
-def test_a_ray_that_looks_away_from_the_box_has_an_empty_stretch():
-    rays = clip_to_box(torch.tensor([[-4.0, 0.0, 0.0]]), torch.tensor([[-1.0, 0.0, 0.0]]), *BOX, 0.5, 10.0)
-    assert rays.near == rays.far
-
-
-def test_near_and_far_limit_the_stretch():
-    rays = clip_to_box(torch.tensor([[-4.0, 0.0, 0.0]]), torch.tensor([[1.0, 0.0, 0.0]]), *BOX, 3.5, 4.0)
-    assert (rays.near, rays.far) == (torch.tensor([3.5]), torch.tensor([4.0]))
 
 
 def test_points_along_a_ray_lie_at_their_distances():

@@ -64,9 +64,10 @@ def test_nothing_is_gained_by_making_all_albedo_darker():
     assert dim == pytest.approx(bright, rel=1e-4)
 
 
-def test_a_width_of_zero_is_refused():
-    with pytest.raises(ConfigError, match="width"):
-        ClusterConfig(width=0.0)
+@pytest.mark.parametrize("name", ["width", "gloss_distance"])
+def test_a_distance_of_zero_is_refused(name):
+    with pytest.raises(ConfigError, match=name):
+        ClusterConfig(**{name: 0.0})
 
 
 GLOSS = ClusterConfig(width=0.1, gloss_distance=0.1)
@@ -102,8 +103,3 @@ def test_shared_width_moves_widths_alone():
 def test_neighbours_that_no_photograph_covers_do_not_count():
     found, positions = pair(0.0, 0.02)
     assert gloss_differences(found, positions, torch.tensor([1.0, 0.0]), GLOSS).item() == 0.0
-
-
-def test_a_distance_of_zero_is_refused():
-    with pytest.raises(ConfigError, match="gloss_distance"):
-        ClusterConfig(gloss_distance=0.0)

@@ -6,8 +6,7 @@ from flashcache.losses.metalness import (
     Variation,
     directional_variation,
     directions_around,
-    metalness_prior,
-    smoothness_prior,
+    variation_prior,
 )
 
 GREY = torch.full((1, 8, 3), 0.3)
@@ -48,7 +47,7 @@ def test_a_metal_in_uniform_light_gives_itself_away_by_nothing():
 def test_the_prior_moves_metalness_towards_what_variation_suggests(variation, rises):
     metalness = torch.full((1, 1), 0.5, requires_grad=True)
     given = Variation(torch.tensor([variation]), torch.zeros(1))
-    metalness_prior(metalness, given, torch.ones(1), MetalnessPriorConfig()).backward()
+    variation_prior(metalness, (0.12, 0.95), given, torch.ones(1), MetalnessPriorConfig()).backward()
     assert (metalness.grad.item() < 0.0) == rises
 
 
@@ -57,7 +56,7 @@ def test_the_prior_is_content_at_its_own_ends_and_leaves_uncovered_points_alone(
     ends = torch.tensor([[0.1], [0.9], [0.5]])
     weight = torch.tensor([1.0, 1.0, 0.0])
     given = torch.tensor([0.0, 2.0, 2.0])
-    assert metalness_prior(ends, Variation(given, given), weight, config).item() < 1e-12
+    assert variation_prior(ends, config.range, Variation(given, given), weight, config).item() < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -66,7 +65,8 @@ def test_the_prior_is_content_at_its_own_ends_and_leaves_uncovered_points_alone(
 def test_with_both_measures_a_metal_must_pass_both(own, bright, wanted):
     config = MetalnessPriorConfig(range=(0.1, 0.9), bright_variation=(0.03, 0.12))
     given = Variation(torch.tensor([own]), torch.tensor([bright]))
-    assert metalness_prior(torch.tensor([[wanted]]), given, torch.ones(1), config).item() < 1e-12
+    prior = variation_prior(torch.tensor([[wanted]]), config.range, given, torch.ones(1), config)
+    assert prior.item() < 1e-12
 
 
 def test_directions_lie_above_the_surface_with_nearly_the_mean_cosine_of_diffuse_light():
@@ -87,11 +87,7 @@ def test_settings_that_say_nothing_are_refused(settings):
 
 
 def test_what_varies_with_direction_is_taken_for_smooth():
-    config = MetalnessPriorConfig(perceptual_roughness=(0.5, 0.25))
-    ends = torch.tensor([[0.5], [0.25], [0.9]])
-    given = Variation(torch.tensor([0.0, 2.0, 2.0]), torch.zeros(3))
-    assert smoothness_prior(ends, given, torch.tensor([1.0, 1.0, 0.0]), config).item() < 1e-12
     dull = torch.full((1, 1), 0.6, requires_grad=True)
     shiny = Variation(torch.ones(1), torch.zeros(1))
-    smoothness_prior(dull, shiny, torch.ones(1), config).backward()
+    variation_prior(dull, (0.5, 0.25), shiny, torch.ones(1), MetalnessPriorConfig()).backward()
     assert dull.grad.item() > 0.0

@@ -21,14 +21,6 @@ def test_both_normals_get_the_gradient_of_the_supplements_loss():
     torch.testing.assert_close(found, expected)
 
 
-def test_both_normals_move_towards_each_other():
-    predicted = torch.tensor([UP, UP]).requires_grad_()
-    derived = torch.tensor([[1.0, 0.0, 0.0]] * 2).requires_grad_()
-    normal_consistency(WEIGHTS, predicted, derived, 0.1).backward()
-    assert (predicted.grad[:, 0] < 0.0).all()
-    assert (derived.grad[:, 2] < 0.0).all()
-
-
 def test_weights_get_their_share_of_the_gradient_from_one_side_only():
     gradients = []
     for share in (1.0, 0.1):

@@ -5,9 +5,11 @@ from flashcache.losses.photometric import (
     cache_photometric,
     carving,
     charbonnier,
+    consistency,
     mask_loss,
     physical_photometric,
 )
+from support.statistics import assert_mean
 
 ONES = torch.ones(4)
 
@@ -131,3 +133,22 @@ def test_a_highlight_that_one_photograph_shows_unclipped_gets_its_true_brightnes
         cache_photometric(radiance.expand(4, 3), photograph, clipped).backward()
         optimiser.step()
     assert low < float(radiance.detach().min()) <= float(radiance.detach().max()) < high
+
+
+def test_the_mean_gradient_is_that_of_the_squared_error_to_the_mean():
+    rows = 5000
+    generator = torch.Generator().manual_seed(0)
+    expected = torch.tensor([0.4, 0.1, 0.8], dtype=torch.float64)
+    physical = expected * (0.4 + 1.2 * torch.rand(rows, 3, generator=generator, dtype=torch.float64))
+    start = torch.tensor([0.6, 0.3, 0.2], dtype=torch.float64)
+    cache = start.expand(rows, 3).clone().requires_grad_()
+    (rows * consistency(cache, physical, torch.ones(rows, dtype=torch.float64))).backward()
+    assert_mean(cache.grad, 2.0 * (start - expected) / (start + 0.01) / 3.0)
+
+
+def test_the_physical_estimate_gets_no_gradient_and_uncovered_points_do_not_count():
+    cache, physical = torch.rand(3, 3).requires_grad_(), torch.rand(3, 3).requires_grad_()
+    consistency(cache, physical, torch.tensor([1.0, 0.0, 1.0])).backward()
+    assert physical.grad is None
+    assert not cache.grad[1].any()
+    assert cache.grad[0].any()

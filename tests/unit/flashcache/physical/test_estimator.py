@@ -10,12 +10,21 @@ from flashcache.physical.incident import (
     LightSources,
     RayLimits,
     SecondaryRays,
-    unoccluded,
     visibility_only,
 )
 from flashcache.physical.light_sampler import VmfMixture
 from flashcache.physical.sampling import CosineLobe
-from support.shading import LIMITS, blurred, case, environment, nerf, peaked_mixture, reflected, unit
+from support.shading import (
+    LIMITS,
+    blurred,
+    case,
+    environment,
+    nerf,
+    peaked_mixture,
+    reflected,
+    unit,
+    unoccluded,
+)
 from support.statements import estimates
 from support.statistics import assert_mean
 

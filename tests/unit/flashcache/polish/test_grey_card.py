@@ -56,7 +56,7 @@ def test_a_card_brings_back_an_albedo_that_is_off_by_a_factor_per_channel():
     found = scale_to_card(truth * OFF, sky / OFF, factor)
     torch.testing.assert_close(found.albedo, truth)
     torch.testing.assert_close(found.sky, sky)
-    assert (found.clamped_share, found.findings) == (0.0, ())
+    assert (found.values["card_clamped"], found.findings) == (0.0, ())
 
 
 def test_a_minority_of_pixels_that_show_something_else_does_not_matter():
@@ -78,7 +78,7 @@ def test_nothing_reflects_more_than_arrives_and_a_bright_surface_is_told():
     albedo[0, 1] = 0.9
     found = scale_to_card(albedo, torch.ones(1, 4, 3), torch.full((3,), 2.0))
     assert float(found.albedo.max()) == 1.0
-    assert found.clamped_share == pytest.approx(0.1)
+    assert found.values["card_clamped"] == pytest.approx(0.1)
     ((code, message),) = found.findings
     assert code == "grey_card.brighter_than_white"
     assert "10 %" in message
