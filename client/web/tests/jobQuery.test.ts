@@ -19,7 +19,7 @@ describe("a query of jobs", () => {
     expect(queryOf(`#/?q=${"x".repeat(300)}`).words).toHaveLength(100);
   });
 
-  it("asks the server for what stands in lists only", () => {
+  it("asks the server only for what lists show", () => {
     expect(parametersOf(everything).getAll("kind")).toEqual(["train", "prepare", "bake", "render", "batch"]);
     const asked = parametersOf({ words: " cup ", state: "active", kind: "train", oldestFirst: true });
     expect(asked.toString()).toBe(

@@ -1,8 +1,8 @@
-import { describe, expect, it } from "vitest";
+import { beforeEach, describe, expect, it } from "vitest";
 import { chart, thinned } from "../src/jobs/curves.js";
 import { progressText } from "../src/jobs/jobLine.js";
 import { byStage, stageSeconds, stageStates } from "../src/jobs/live.js";
-import { JobStore, type Sample } from "../src/jobs/store.js";
+import { type JobRecord, JobStore, type Sample } from "../src/jobs/store.js";
 import type { Job, JobEvent, Progress } from "../src/page/rest.js";
 
 const progress: Progress = {
@@ -46,15 +46,6 @@ function job(values: Partial<Job> = {}): Job {
   };
 }
 
-function event(seq: number, values: Partial<JobEvent> = {}): JobEvent {
-  const at = new Date(Date.UTC(2026, 0, 1, 0, 0, seq)).toISOString();
-  const rest = { run: 1, state: "" as const, message: "", sha256: "", name: "" };
-  return { job_id: "job_a", seq, at, type: "progress", progress, ...rest, ...values };
-}
-
-const message = (one: JobEvent) => ({ event: "event", id: "", data: JSON.stringify(one) });
-const settle = () => new Promise((resolve) => setTimeout(resolve, 0));
-
 /** A server with one job and its history. */
 class FakeServer {
   current = job();
@@ -67,22 +58,43 @@ class FakeServer {
     return { items, next_cursor: null };
   };
   add(values: Partial<JobEvent> = {}): JobEvent {
-    const one = event(this.history.length + 1, values);
+    const seq = this.history.length + 1;
+    const at = new Date(Date.UTC(2026, 0, 1, 0, 0, seq)).toISOString();
+    const rest = { run: 1, state: "" as const, message: "", sha256: "", name: "" };
+    const one = { job_id: "job_a", seq, at, type: "progress" as const, progress, ...rest, ...values };
     this.history.push(one);
     return one;
   }
 }
 
+const preview = (name: string, sha256: string) =>
+  ({ type: "preview", sha256, name, progress: null }) as const;
+
 describe("JobStore", () => {
+  let server: FakeServer;
+  let store: JobStore;
+  beforeEach(() => {
+    server = new FakeServer();
+    store = new JobStore(server);
+  });
+
+  /** Let the store read the history of so many events. */
+  const loaded = (count: number) => {
+    for (let place = 0; place < count; place++) server.add();
+    return store.loadHistory("job_a");
+  };
+
+  /** Send the store some messages; return the record once it has done what they ask for. */
+  async function received(...all: JobEvent[]): Promise<JobRecord> {
+    for (const one of all) store.receive({ event: "event", id: "", data: JSON.stringify(one) });
+    await new Promise((resolve) => setTimeout(resolve, 0));
+    return store.get("job_a")!;
+  }
+
   it("fetches a long history in pages and then follows the stream without asking", async () => {
-    const server = new FakeServer();
-    for (let place = 0; place < 2500; place++) server.add();
-    const store = new JobStore(server);
-    await store.loadHistory("job_a");
+    await loaded(2500);
     expect(server.asked).toEqual([0, 1000, 2000]);
-    store.receive(message(server.add({ progress: { ...progress, psnr: 20, step: 9 } })));
-    await settle();
-    const record = store.get("job_a")!;
+    const record = await received(server.add({ progress: { ...progress, psnr: 20, step: 9 } }));
     expect(record.psnr).toHaveLength(2501);
     expect(record.psnr.at(-1)!.value).toBe(20);
     expect(record.job.progress?.step).toBe(9);
@@ -90,80 +102,54 @@ describe("JobStore", () => {
   });
 
   it("takes an event once, however often it comes", async () => {
-    const server = new FakeServer();
-    server.add();
-    const store = new JobStore(server);
-    await store.loadHistory("job_a");
-    const next = server.add({ type: "preview", sha256: "ab", name: "view", progress: null });
-    store.receive(message(next));
-    store.receive(message(next));
-    store.receive(message(server.history[0]!));
-    await settle();
-    expect(store.get("job_a")!.previews).toEqual([{ sha256: "ab", name: "view" }]);
-    expect(store.get("job_a")!.job.thumbnail_url).toBe("/v1/blobs/ab");
-    expect(store.get("job_a")!.psnr).toHaveLength(1);
+    await loaded(1);
+    const next = server.add(preview("view", "ab"));
+    const record = await received(next, next, server.history[0]!);
+    expect(record.previews).toEqual([{ sha256: "ab", name: "view" }]);
+    expect(record.job.thumbnail_url).toBe("/v1/blobs/ab");
+    expect(record.psnr).toHaveLength(1);
   });
 
   it("keeps the picture of the object when the sheet of the evaluation comes", async () => {
-    const server = new FakeServer();
-    server.add();
-    const store = new JobStore(server);
-    await store.loadHistory("job_a");
-    store.receive(
-      message(server.add({ type: "preview", sha256: "ab", name: "turning_joint", progress: null })),
-    );
-    store.receive(message(server.add({ type: "preview", sha256: "cd", name: "evaluation", progress: null })));
-    await settle();
-    expect(store.get("job_a")!.previews.map((each) => each.sha256)).toEqual(["ab", "cd"]);
-    expect(store.get("job_a")!.job.thumbnail_url).toBe("/v1/blobs/ab");
+    await loaded(1);
+    const all = [server.add(preview("turning_joint", "ab")), server.add(preview("evaluation", "cd"))];
+    const record = await received(...all);
+    expect(record.previews.map((each) => each.sha256)).toEqual(["ab", "cd"]);
+    expect(record.job.thumbnail_url).toBe("/v1/blobs/ab");
   });
 
   it("fetches what the stream has left out", async () => {
-    const server = new FakeServer();
-    server.add();
-    const store = new JobStore(server);
-    await store.loadHistory("job_a");
+    await loaded(1);
     server.add();
     server.add();
-    store.receive(message(server.add()));
-    await settle();
-    expect(store.get("job_a")!.psnr.map((sample) => sample.atS % 60)).toEqual([1, 2, 3, 4]);
+    const { psnr } = await received(server.add());
+    expect(psnr.map((sample) => sample.atS % 60)).toEqual([1, 2, 3, 4]);
   });
 
   it("fetches what happened before a snapshot of a job whose history is shown", async () => {
-    const server = new FakeServer();
+    await loaded(1);
     server.add();
-    const store = new JobStore(server);
-    await store.loadHistory("job_a");
-    server.add();
-    const snapshot = { event: "snapshot", id: "", data: JSON.stringify(job({ last_event: 2 })) };
-    store.receive(snapshot);
-    await settle();
-    expect(store.get("job_a")!.seq).toBe(2);
+    store.receive({ event: "snapshot", id: "", data: JSON.stringify(job({ last_event: 2 })) });
+    expect((await received()).seq).toBe(2);
   });
 
   it("asks for the whole job when its state changes, and tells who listens", async () => {
-    const server = new FakeServer();
-    const store = new JobStore(server);
     const told: string[] = [];
     store.listen((id) => told.push(id));
     store.put(job());
     server.current = job({ state: "succeeded", bundle_id: "bundle_a" });
-    store.receive(message(server.add({ type: "state", state: "succeeded", progress: null })));
-    await settle();
-    expect(store.get("job_a")!.job.bundle_id).toBe("bundle_a");
+    const record = await received(server.add({ type: "state", state: "succeeded", progress: null }));
+    expect(record.job.bundle_id).toBe("bundle_a");
     expect(told).toContain("job_a");
   });
 
   it("does not go back to an older state of a job", () => {
-    const store = new JobStore(new FakeServer());
     store.put(job({ last_event: 5, state: "succeeded" }));
     store.put(job({ last_event: 4, state: "running" }));
     expect(store.get("job_a")!.job.state).toBe("succeeded");
   });
 
   it("sorts jobs by age, the newest first", () => {
-    const store = new JobStore(new FakeServer());
     for (const id of ["job_b", "job_c", "job_a"]) store.put(job({ id }));
     expect(store.all().map((record) => record.job.id)).toEqual(["job_c", "job_b", "job_a"]);
   });
@@ -172,28 +158,20 @@ describe("JobStore", () => {
 describe("stages", () => {
   it("are done, now or to come", () => {
     const now = stageStates(job({ progress: { ...progress, stage: "joint" } }));
-    expect(now.map(([, state]) => state)).toEqual([
-      "done",
-      "done",
-      "done",
-      "done",
-      "now",
-      "waiting",
-      "waiting",
-      "waiting",
-    ]);
+    expect(now.map(([, state]) => state).join(" ")).toBe("done done done done now waiting waiting waiting");
     expect(stageStates(job({ state: "succeeded" })).every(([, state]) => state === "done")).toBe(true);
     expect(stageStates(job()).every(([, state]) => state === "waiting")).toBe(true);
   });
 
-  it("are told in words, also those of jobs that train nothing", () => {
-    const told = (stage: string): string =>
-      progressText(job({ state: "running", progress: { ...progress, stage, psnr: 0, doing: "", eta_s: 0 } }));
-    expect(told("joint")).toBe("training materials and light · step 1 of 10");
-    expect(told("contact_sheet")).toBe("laying out the contact sheet · step 1 of 10");
+  it.each([
+    ["joint", "training materials and light · step 1 of 10"],
+    ["contact_sheet", "laying out the contact sheet · step 1 of 10"],
+  ])("have names, also those of jobs that train nothing: %s", (stage, text) => {
+    expect(progressText(job({ progress: { ...progress, stage, psnr: 0, eta_s: 0 } }))).toBe(text);
   });
 
   it("take the time until the next one begins", () => {
+    const began = Date.UTC(2026, 0, 1) / 1000;
     const record = {
       job: job({ finished_at: "2026-01-01T00:01:00.000Z" }),
       seq: 3,
@@ -201,13 +179,12 @@ describe("stages", () => {
       loss: [],
       previews: [],
       stages: new Map([
-        ["ingest", Date.UTC(2026, 0, 1) / 1000],
-        ["cache", Date.UTC(2026, 0, 1, 0, 0, 10) / 1000],
+        ["ingest", began],
+        ["cache", began + 10],
       ]),
     };
-    expect(stageSeconds(record, "ingest")).toBe(10);
-    expect(stageSeconds(record, "cache")).toBe(50);
-    expect(stageSeconds(record, "export")).toBeNull();
+    const seconds = ["ingest", "cache", "export"].map((stage) => stageSeconds(record, stage));
+    expect(seconds).toEqual([10, 50, null]);
   });
 });
 

@@ -5,7 +5,15 @@ import { metricRows, verdicts } from "../src/jobs/verdicts.js";
 import { explain } from "../src/page/actions.js";
 import { bundleAt, jobAddress, placeOf, sceneAddress, viewerAddress } from "../src/page/addresses.js";
 import { formatAbout, formatDuration, formatSize } from "../src/page/format.js";
-import { createApi, Refused, requireOk, type SceneReport, Unreachable } from "../src/page/rest.js";
+import {
+  createApi,
+  type Estimate,
+  type Finding,
+  Refused,
+  requireOk,
+  type SceneReport,
+  Unreachable,
+} from "../src/page/rest.js";
 
 describe("addresses", () => {
   it("lead back to what they were made of", () => {
@@ -25,31 +33,15 @@ describe("addresses", () => {
 });
 
 describe("numbers", () => {
-  it("are told as people read them", () => {
-    expect([0, 61, 3725, -3].map(formatDuration)).toEqual(["0:00", "1:01", "1:02:05", "0:00"]);
-    expect([2, 44, 360, 9000].map(formatAbout)).toEqual([
-      "5 seconds",
-      "45 seconds",
-      "6 minutes",
-      "2.5 hours",
-    ]);
-    expect([12, 1536, 5 * 2 ** 20, 2 ** 31].map(formatSize)).toEqual([
-      "12 B",
-      "1.5 KiB",
-      "5.0 MiB",
-      "2.0 GiB",
-    ]);
+  it("are written for people", () => {
+    const said = (format: (value: number) => string, ...values: number[]) => values.map(format).join(", ");
+    expect(said(formatDuration, 0, 61, 3725, -3)).toBe("0:00, 1:01, 1:02:05, 0:00");
+    expect(said(formatAbout, 2, 44, 360, 9000)).toBe("5 seconds, 45 seconds, 6 minutes, 2.5 hours");
+    expect(said(formatSize, 12, 1536, 5 * 2 ** 20, 2 ** 31)).toBe("12 B, 1.5 KiB, 5.0 MiB, 2.0 GiB");
   });
 
   it("of an estimate say where they come from", () => {
-    const estimate = {
-      preset: "fast",
-      seconds: 360,
-      shortest_s: null,
-      longest_s: null,
-      num_measured: 0,
-      num_ahead: 0,
-    };
+    const estimate = { preset: "fast", seconds: 360, num_measured: 0, num_ahead: 0 } as Estimate;
     expect(estimateText(estimate)).toBe("about 6 minutes on the hardware it is made for");
     expect(estimateText({ ...estimate, num_measured: 3 })).toBe("about 6 minutes, measured here on 3 jobs");
     expect(estimateText({ ...estimate, seconds: null })).toBe("no estimate yet");
@@ -67,33 +59,20 @@ describe("numbers", () => {
     expect(metricRows({})).toEqual([]);
   });
 
-  it("of an evaluation are told in words that follow from the error, the worst last", () => {
-    const told = (value: number, name = "nvs/psnr", unit = "dB") =>
-      verdicts({ metrics: [{ name, value, unit }] })[0];
-    expect(told(27.31)).toEqual({
-      about: "New views",
-      figure: "27.3 dB",
-      words: "very close to the photographs",
-    });
-    expect([40, 29.9, 26, 22, 18, 12].map((value) => told(value)!.words.split(/[;,]/)[0])).toEqual([
-      "hard to tell from the photographs",
-      "very close to the photographs",
-      "very close to the photographs",
-      "close",
-      "recognisable",
-      "far from the photographs",
-    ]);
-    expect(told(20, "training_views/psnr")!.about).toBe("Training views");
-    expect(told(35, "relight/psnr")!.words).toBe("hard to tell from the real pictures");
-    expect(told(6.21, "normal/mae_mask", "deg")).toEqual({
-      about: "Shape",
-      figure: "6.2° off",
-      words: "correct overall, with small dents",
-    });
-    expect(told(0.3, "roughness/rmse", "1")!.words).toBe("gloss is not reliable");
-    expect(told(0.9, "nvs/ssim", "1")).toBeUndefined();
-    expect(told(Number.NaN)).toBeUndefined();
-    expect(verdicts({})).toEqual([]);
+  it("of an evaluation are put in words that follow from the error, the worst last", () => {
+    const said = (value: number, name = "nvs/psnr", unit = "dB") =>
+      verdicts({ metrics: [{ name, value, unit }] }).map((each) => Object.values(each).join(": "));
+    expect(said(40)).toEqual(["New views: 40.0 dB: hard to tell from the photographs"]);
+    for (const value of [29.9, 27.31, 26]) expect(said(value)[0]).toContain("very close to the photographs");
+    expect(said(22)[0]).toContain(": close;");
+    expect(said(18)[0]).toContain("recognisable");
+    expect(said(12)[0]).toContain("far from the photographs");
+    expect(said(20, "training_views/psnr")[0]).toContain("Training views");
+    expect(said(35, "relight/psnr")[0]).toContain("hard to tell from the real pictures");
+    const shape = "Shape: 6.2° off: correct overall, with small dents";
+    expect(said(6.21, "normal/mae_mask", "deg")).toEqual([shape]);
+    expect(said(0.3, "roughness/rmse", "1")[0]).toContain("gloss is not reliable");
+    expect([...said(0.9, "nvs/ssim", "1"), ...said(Number.NaN), ...verdicts({})]).toEqual([]);
   });
 });
 
@@ -109,21 +88,11 @@ describe("settings", () => {
 });
 
 describe("a report", () => {
-  const finding = (code: string, severity: "warning" | "error") => ({
-    code,
-    severity,
-    message: "m",
-    subject: "",
-  });
-  const report = {
-    layout: "colmap",
-    layout_title: "COLMAP",
-    num_train_frames: 40,
-    num_test_frames: 6,
-    figures: null,
-  } as SceneReport;
+  const frames = { num_train_frames: 40, num_test_frames: 6 };
+  const report = { layout: "colmap", layout_title: "COLMAP", ...frames, figures: null } as SceneReport;
 
-  it("tells errors first", () => {
+  it("has errors first", () => {
+    const finding = (code: string, severity: string) => ({ code, severity }) as Finding;
     const found = ordered([finding("a", "warning"), finding("b", "error"), finding("c", "warning")]);
     expect(found.map((each) => each.code)).toEqual(["b", "a", "c"]);
   });
@@ -141,12 +110,8 @@ describe("the interface", () => {
   const answer = (status: number, body: unknown) => new Response(JSON.stringify(body), { status });
 
   it("turns a problem document into an exception with its code and pointers", async () => {
-    const problem = {
-      code: "quota_jobs",
-      detail: "too many",
-      retryable: true,
-      errors: [{ pointer: "#/x", message: "y" }],
-    };
+    const errors = [{ pointer: "#/x", message: "y" }];
+    const problem = { code: "quota_jobs", detail: "too many", retryable: true, errors };
     const refused = await requireOk(answer(429, problem)).catch((error) => error);
     expect(refused).toBeInstanceOf(Refused);
     expect(refused).toMatchObject({ status: 429, code: "quota_jobs", retryable: true });

@@ -26,22 +26,16 @@ describe("the page of a share link", () => {
   });
 
   it("leaves controls to where it is shown", () => {
-    expect(sharedView({ ...at, hash: `#${secret}` }, "bundle_1")).toMatchObject({
-      controls: null,
-      state: "",
-    });
-    expect(sharedView({ ...at, hash: `#${secret}&controls=0` }, "bundle_1")).toMatchObject({
-      controls: false,
-    });
+    const shown = (hash: string) => sharedView({ ...at, hash }, "bundle_1");
+    expect(shown(`#${secret}`)).toMatchObject({ controls: null, state: "" });
+    expect(shown(`#${secret}&controls=0`)).toMatchObject({ controls: false });
   });
 
-  it("tells what is missing", () => {
-    expect(sharedView({ ...at, hash: "" }, "bundle_1")).toEqual({
-      message: expect.stringContaining("incomplete"),
-    });
-    expect(sharedView({ ...at, hash: `#${secret}` }, "")).toEqual({
-      message: expect.stringContaining("expired"),
-    });
+  it.each([
+    ["", "bundle_1", "incomplete"],
+    [`#${secret}`, "", "expired"],
+  ])("says what is missing: %j, %j", (hash, bundleId, text) => {
+    expect(sharedView({ ...at, hash }, bundleId)).toEqual({ message: expect.stringContaining(text) });
   });
 });
 

@@ -2,12 +2,8 @@ import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
 import { Removals, undoMs } from "../src/page/removals.js";
 import { Refused } from "../src/page/rest.js";
 
-beforeEach(() => {
-  vi.useFakeTimers();
-});
-afterEach(() => {
-  vi.useRealTimers();
-});
+beforeEach(() => void vi.useFakeTimers());
+afterEach(() => void vi.useRealTimers());
 
 function asked(send: (keepalive: boolean) => Promise<unknown> = async () => {}) {
   const told: unknown[] = [];
@@ -75,19 +71,17 @@ describe("a removal", () => {
   });
 
   it("that the server refuses comes back, with the reason", async () => {
-    const { removals, told, gone } = asked(async () => {
-      throw new Refused(409, "scene_in_use", "job_1 uses this scene", false);
-    });
+    const refused = new Refused(409, "scene_in_use", "job_1 uses this scene", false);
+    const { removals, told, gone } = asked(() => Promise.reject(refused));
     await vi.advanceTimersByTimeAsync(undoMs);
     expect(removals.hides("scene_1")).toBe(false);
     expect(gone).not.toHaveBeenCalled();
     expect(String(told[0])).toContain('The scene "Cup" could not be deleted. job_1 uses this scene');
   });
 
-  it("of what somebody else has deleted is done", async () => {
-    const { removals, told, gone } = asked(async () => {
-      throw new Refused(404, "scene_not_found", "there is no scene", false);
-    });
+  it("of what another user has deleted is done", async () => {
+    const refused = new Refused(404, "scene_not_found", "there is no scene", false);
+    const { removals, told, gone } = asked(() => Promise.reject(refused));
     await vi.advanceTimersByTimeAsync(undoMs);
     expect(told).toEqual([]);
     expect(gone).toHaveBeenCalledOnce();

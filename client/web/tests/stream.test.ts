@@ -2,7 +2,7 @@ import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
 import { follow, parse, type StreamMessage } from "../src/jobs/stream.js";
 import { Refused, Unreachable } from "../src/page/rest.js";
 
-const block = (id: string, data: string, event = "event") => `event: ${event}\nid: ${id}\ndata: ${data}\n\n`;
+const block = (id: string, data = "{}", event = "event") => `event: ${event}\nid: ${id}\ndata: ${data}\n\n`;
 
 describe("parse", () => {
   it("returns whole messages and keeps the rest", () => {
@@ -13,17 +13,17 @@ describe("parse", () => {
   });
 });
 
-/** A server whose streams a test writes by hand. */
+/** A server whose streams a test writes by hand; `faults` come before the next stream. */
 class FakeServer {
   readonly asked: string[] = [];
-  answers: (() => Response | Promise<Response>)[] = [];
+  faults: Error[] = [];
   current: ReadableStreamDefaultController<Uint8Array> | null = null;
   cancelled = 0;
 
   readonly stream = async (last: string, signal: AbortSignal): Promise<Response> => {
     this.asked.push(last);
-    const answer = this.answers.shift();
-    if (answer !== undefined) return answer();
+    const fault = this.faults.shift();
+    if (fault !== undefined) throw fault;
     const body = new ReadableStream<Uint8Array>({
       start: (controller) => {
         this.current = controller;
@@ -36,8 +36,16 @@ class FakeServer {
     return new Response(body);
   };
 
-  write(text: string): void {
+  /** Send a text and let it arrive. */
+  async write(text: string): Promise<void> {
     this.current!.enqueue(new TextEncoder().encode(text));
+    await vi.advanceTimersByTimeAsync(0);
+  }
+
+  /** Break the stream, and wait for what follows. */
+  async breakOff(waitMs = 600): Promise<void> {
+    this.current!.close();
+    await vi.advanceTimersByTimeAsync(waitMs);
   }
 }
 
@@ -70,13 +78,12 @@ describe("follow", () => {
     return vi.advanceTimersByTimeAsync(0);
   };
 
-  it("goes on behind the last message after a break", async () => {
+  it("continues after the last message when the stream breaks", async () => {
     await start();
-    server.write(block("a:1", "{}").slice(0, 9));
-    server.write(block("a:1", "{}").slice(9) + block("a:1,b:4", "{}"));
-    await vi.advanceTimersByTimeAsync(0);
-    server.current!.close();
-    await vi.advanceTimersByTimeAsync(600);
+    const text = block("a:1") + block("a:1,b:4");
+    await server.write(text.slice(0, 9));
+    await server.write(text.slice(9));
+    await server.breakOff();
     expect(server.asked).toEqual(["", "a:1,b:4"]);
     expect(heard.map((message) => message.id)).toEqual(["a:1", "a:1,b:4"]);
     expect(states).toEqual([true, false, true]);
@@ -84,24 +91,15 @@ describe("follow", () => {
 
   it("keeps its place through messages without one and refusals for the time being", async () => {
     await start();
-    server.write(`${block("a:1", "{}")}event: snapshot\ndata: {}\n\n`);
-    await vi.advanceTimersByTimeAsync(0);
+    await server.write(`${block("a:1")}event: snapshot\ndata: {}\n\n`);
     expect(heard).toHaveLength(2);
-    server.answers = [
-      () => {
-        throw new Refused(429, "quota_streams", "full", true);
-      },
-    ];
-    server.current!.close();
-    await vi.advanceTimersByTimeAsync(600);
-    await vi.advanceTimersByTimeAsync(1_100);
+    server.faults = [new Refused(429, "quota_streams", "full", true)];
+    await server.breakOff(1_700);
     expect(server.asked).toEqual(["", "a:1", "a:1"]);
   });
 
-  it("waits longer each time for a server that is away, and not for ever", async () => {
-    server.answers = Array.from({ length: 40 }, () => () => {
-      throw new Unreachable("away");
-    });
+  it("waits longer each time for a server that does not answer, up to a limit", async () => {
+    server.faults = Array.from({ length: 40 }, () => new Unreachable("away"));
     await start();
     await vi.advanceTimersByTimeAsync(60_000);
     // 0.5 + 1 + 2 + 4 + 8 s, then every 10 s.
@@ -113,9 +111,8 @@ describe("follow", () => {
     await start();
     for (let minute = 0; minute < 4; minute++) {
       await vi.advanceTimersByTimeAsync(15_000);
-      server.write(": ping\n\n");
+      await server.write(": ping\n\n");
     }
-    await vi.advanceTimersByTimeAsync(0);
     expect(server.asked).toHaveLength(1);
     await vi.advanceTimersByTimeAsync(50_000);
     expect(server.cancelled).toBe(1);
@@ -124,9 +121,9 @@ describe("follow", () => {
 
   it("opens the connection anew at once when the machine has slept", async () => {
     await start();
-    server.write(block("a:7", "{}"));
+    await server.write(block("a:7"));
     await vi.advanceTimersByTimeAsync(5_000);
-    // The clock runs on while timers stand still.
+    // The clock continues while timers stand still.
     vi.setSystemTime(Date.now() + 3_600_000);
     await vi.advanceTimersByTimeAsync(5_100);
     expect(server.asked).toEqual(["", "a:7"]);
@@ -134,33 +131,21 @@ describe("follow", () => {
 
   it("begins with snapshots where the server cannot use the positions", async () => {
     await start();
-    server.write(block("a:7", "{}"));
-    await vi.advanceTimersByTimeAsync(0);
-    server.answers = [
-      () => {
-        throw new Refused(422, "last_event_id", "no", false);
-      },
-    ];
-    server.current!.close();
-    await vi.advanceTimersByTimeAsync(3_000);
+    await server.write(block("a:7"));
+    server.faults = [new Refused(422, "last_event_id", "no", false)];
+    await server.breakOff(3_000);
     expect(server.asked).toEqual(["", "a:7", ""]);
   });
 
   it("does not send positions that are longer than a server reads", async () => {
     await start();
-    server.write(block(`${"a".repeat(8000)}:1`, "{}"));
-    await vi.advanceTimersByTimeAsync(0);
-    server.current!.close();
-    await vi.advanceTimersByTimeAsync(600);
+    await server.write(block(`${"a".repeat(8000)}:1`));
+    await server.breakOff();
     expect(server.asked).toEqual(["", ""]);
   });
 
   it("gives up where the browser is not logged in", async () => {
-    server.answers = [
-      () => {
-        throw new Refused(401, "not_authenticated", "no", false);
-      },
-    ];
+    server.faults = [new Refused(401, "not_authenticated", "no", false)];
     await start();
     await expect(following).rejects.toThrow(Refused);
   });

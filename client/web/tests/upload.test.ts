@@ -1,5 +1,5 @@
 import { createHash } from "node:crypto";
-import { describe, expect, it } from "vitest";
+import { beforeEach, describe, expect, it } from "vitest";
 import { sha256Hex } from "../src/page/buffers.js";
 import { droppedEntries, filesIn } from "../src/page/files.js";
 import { type FileUpload, Refused, type Scene, Unreachable } from "../src/page/rest.js";
@@ -59,7 +59,7 @@ describe("collect", () => {
     expect(odd).toMatchObject({ kind: "archive", mediaType: "application/zip" });
   });
 
-  it("refuses what is no capture, and says what to do", async () => {
+  it("refuses what is not a capture, and says what to do", async () => {
     const encrypted = new File([zipOf(bytes({ "a.png": "x" }), { flags: 1 })], "c.zip");
     for (const chosen of [files({}), files({ "photo.jpg": "x" }), new Map([["c.zip", encrypted]])]) {
       await expect(collect(chosen)).rejects.toThrow(NotAScene);
@@ -96,10 +96,11 @@ describe("filesIn", () => {
   });
 });
 
-/** A server that keeps blobs, and fails as it is told. */
+/** A server that keeps blobs, and throws `faults` one after the other. */
 class FakeServer {
   blobs = new Set<string>();
-  planned: { path: string; sha256: string }[] = [];
+  planned: string[] = [];
+  /** Contents of files that the server has taken itself. */
   sent: string[] = [];
   faults: Error[] = [];
   numScenes = 0;
@@ -116,16 +117,19 @@ class FakeServer {
   };
   readonly scene = async (id: string, name = "x") => ({ id, name }) as Scene;
   readonly planFiles = async (_: string, all: readonly { path: string; sha256: string }[]) => {
-    this.planned = [...all];
+    this.planned = all.map((one) => one.path);
     const missing = [...new Set(all.map((one) => one.sha256))].filter((one) => !this.blobs.has(one));
+    this.faults.push(...this.faultsAfterPlan);
     return { missing, unsupported: [], uploads: this.direct ? this.#offers(missing.slice(0, 1)) : [] };
   };
+  faultsAfterPlan: Error[] = [];
   /** Whether files go to a store, which answers with these statuses, or not at all; its parts have 2 bytes. */
   direct = false;
   statuses: (number | null)[] = [];
   stored: string[] = [];
   parts = new Map<string, string>();
-  asked: string[] = [];
+  /** Number of requests for addresses of the store. */
+  asked = 0;
 
   #offers(hashes: readonly string[]): FileUpload[] {
     return hashes.map((sha256) => ({
@@ -142,7 +146,7 @@ class FakeServer {
     }));
   }
   readonly offerUploads = async (_: string, hashes: readonly string[]) => {
-    this.asked.push(...hashes);
+    this.asked += 1;
     return { items: this.#offers(hashes) };
   };
   putToStore = async (url: string, headers: Readonly<Record<string, string>>, body: Blob) => {
@@ -155,26 +159,25 @@ class FakeServer {
   };
   readonly completeUploads = async (_: string, hashes: readonly string[]) => {
     this.#stumble();
-    const whole = (one: string) =>
-      sha((this.parts.get(`${one}/0`) ?? "") + (this.parts.get(`${one}/2`) ?? "")) === one;
-    const stored = hashes.filter(whole);
-    this.stored.push(...stored);
-    const refused = hashes
-      .filter((one) => !whole(one))
-      .map((sha256) => ({ sha256, code: "upload_missing", detail: "no" }));
-    return { stored, refused };
+    const text = (one: string) => `${this.parts.get(`${one}/0`)}${this.parts.get(`${one}/2`)}`;
+    const [stored, lacking] = [true, false].map((is) =>
+      hashes.filter((one) => (sha(text(one)) === one) === is),
+    );
+    this.stored.push(...stored!.map(text));
+    return {
+      stored: stored!,
+      refused: lacking!.map((sha256) => ({ sha256, code: "upload_missing", detail: "no" })),
+    };
   };
   readonly putFile = async (_: string, sha256: string, body: Blob) => {
     this.#stumble();
-    if (sha(await body.text()) !== sha256) throw new Refused(422, "digest_mismatch", "no", false);
+    const text = await body.text();
+    expect(sha(text)).toBe(sha256);
     this.blobs.add(sha256);
-    this.sent.push(sha256);
+    this.sent.push(text);
     return new Response();
   };
-  readonly putArchive = async (id: string) => {
-    this.#stumble();
-    return this.scene(id);
-  };
+  putArchive = async (id: string) => this.scene(id);
   readonly commit = async (id: string) => {
     this.committed = id;
     return this.scene(id);
@@ -183,148 +186,94 @@ class FakeServer {
 
 describe("upload", () => {
   const capture = { "bowl/1.png": "one", "bowl/2.png": "two", "bowl/3.png": "one", "bowl/run.exe": "x" };
+  const two = { "a/1.png": "one", "a/2.png": "two" };
+  const away = new Unreachable("away");
+  let server: FakeServer;
+  beforeEach(() => {
+    server = new FakeServer();
+  });
 
-  function tools(api: FakeServer) {
-    const steps: UploadStep[] = [];
-    const pauses: number[] = [];
-    const controller = new AbortController();
+  /** Upload a capture, and return its steps and pauses. */
+  async function uploaded(
+    contents: Record<string, string> = capture,
+    sceneId: string | null = null,
+    signal = new AbortController().signal,
+  ) {
+    const [steps, pauses]: [UploadStep[], number[]] = [[], []];
     const wait = async (ms: number) => void pauses.push(ms);
-    const given = {
-      api,
-      hash,
-      signal: controller.signal,
-      wait,
-      onStep: (step: UploadStep) => steps.push(step),
-    };
-    return { given, steps, pauses, controller };
+    const onStep = (step: UploadStep) => void steps.push(step);
+    await upload(await collect(files(contents)), { api: server, hash, signal, wait, onStep }, sceneId);
+    return { steps, pauses };
   }
 
   it("sends each content once and only what the server lacks", async () => {
-    const server = new FakeServer();
     server.blobs.add(sha("two"));
-    const { given, steps } = tools(server);
-    await upload(await collect(files(capture)), given);
-    expect(server.sent.sort()).toEqual([sha("one"), sha("x")].sort());
-    expect(server.planned.map((one) => one.path)).toEqual(["1.png", "2.png", "3.png", "run.exe"]);
+    const { steps } = await uploaded();
+    expect(server.sent.sort()).toEqual(["one", "x"]);
+    expect(server.planned).toEqual(["1.png", "2.png", "3.png", "run.exe"]);
     expect(server.committed).toBe("scene_1");
     expect(steps.at(-1)).toEqual({ what: "commit", doneBytes: 4, totalBytes: 4, numKnown: 1 });
-    expect(steps.filter((step) => step.what === "hash").at(-1)).toMatchObject({
-      doneBytes: 10,
-      totalBytes: 10,
-    });
+    const hashed = steps.filter((step) => step.what === "hash").at(-1);
+    expect(hashed).toMatchObject({ doneBytes: 10, totalBytes: 10 });
   });
 
   it("continues a scene whose upload was broken off", async () => {
-    const server = new FakeServer();
-    server.blobs.add(sha("one"));
-    const { given } = tools(server);
-    await upload(await collect(files(capture)), given, "scene_old");
-    expect(server.numScenes).toBe(0);
-    expect(server.committed).toBe("scene_old");
-    expect(server.sent).not.toContain(sha("one"));
+    await uploaded(two, "scene_old");
+    expect([server.numScenes, server.committed]).toEqual([0, "scene_old"]);
   });
 
-  it("waits for a server that is away, longer each time", async () => {
-    const server = new FakeServer();
-    server.faults = [
-      new Unreachable("away"),
-      new Refused(503, "database_unavailable", "no", true),
-      new Unreachable("away"),
-    ];
-    const { given, pauses } = tools(server);
-    await upload(await collect(files({ "a/1.png": "one", "a/2.png": "two" })), given);
-    expect(pauses).toEqual([500, 1000, 2000]);
+  it("waits for a server that does not answer, longer each time", async () => {
+    server.faults = [away, new Refused(503, "database_unavailable", "no", true), away];
+    expect((await uploaded(two)).pauses).toEqual([500, 1000, 2000]);
     expect(server.sent).toHaveLength(2);
   });
 
   it("gives up where the server declines", async () => {
-    const server = new FakeServer();
     server.faults = [new Refused(507, "disk_floor", "full", true)];
-    await expect(upload(await collect(files(capture)), tools(server).given)).rejects.toThrow("full");
+    await expect(uploaded()).rejects.toThrow("full");
   });
 
   it("ends when it is stopped, and commits nothing", async () => {
-    const server = new FakeServer();
-    const { given, controller } = tools(server);
-    controller.abort(new Error("stopped"));
-    await expect(upload(await collect(files(capture)), given)).rejects.toThrow("stopped");
+    await expect(uploaded(two, null, AbortSignal.abort(new Error("stopped")))).rejects.toThrow("stopped");
     expect(server.committed).toBe("");
   });
 
-  const two = { "a/1.png": "one", "a/2.png": "two" };
-
-  it("sends files to the store in parts, and asks for addresses that the plan has not", async () => {
-    const server = new FakeServer();
+  const no: string[] = [];
+  it.each([
+    ["in parts, to addresses that are asked for", two, [], [["one", "two"], no, 1, []]],
+    ["by the server itself where the store refuses pages", two, [null, null], [no, ["one", "two"], 1, []]],
+    [
+      "to new addresses where some have expired, and after a wait where it does not answer",
+      { "a/1.png": "one" },
+      [200, 403, 200, 503, 200, 200],
+      [["one"], no, 2, [500]],
+    ],
+  ])("sends files to the store %s", async (_, contents, statuses, expected) => {
     server.direct = true;
-    const { given, steps } = tools(server);
-    await upload(await collect(files(two)), given);
-    expect(server.stored.sort()).toEqual([sha("one"), sha("two")].sort());
-    expect(server.asked).toEqual([sha("two")]);
-    expect(server.sent).toEqual([]);
-    expect(steps.at(-1)).toMatchObject({ what: "commit", doneBytes: 6 });
+    server.statuses = statuses;
+    const { pauses } = await uploaded(contents);
+    expect([server.stored.sort(), server.sent.sort(), server.asked, pauses]).toEqual(expected);
   });
 
-  it("lets the server take the files where the store does not let pages send to it", async () => {
-    const server = new FakeServer();
+  it("continues with the store when the server does not answer for a while", async () => {
     server.direct = true;
-    server.statuses = [null, null];
-    const { given, pauses } = tools(server);
-    await upload(await collect(files(two)), given);
-    expect(server.sent.sort()).toEqual([sha("one"), sha("two")].sort());
-    expect(server.stored).toEqual([]);
-    expect(pauses).toEqual([]);
+    server.faultsAfterPlan = [away];
+    expect((await uploaded({ "a/1.png": "one" })).pauses).toEqual([500]);
+    expect(server.stored).toEqual(["one"]);
   });
 
-  it("asks for new addresses where they have expired, and waits for a store that is away", async () => {
-    const server = new FakeServer();
-    server.direct = true;
-    server.statuses = [200, 403, 200, 503, 200, 200];
-    const { given, pauses } = tools(server);
-    await upload(await collect(files({ "a/1.png": "one" })), given);
-    expect(server.stored).toEqual([sha("one")]);
-    expect(server.asked).toHaveLength(2);
-    expect(pauses).toEqual([500]);
-    expect(server.sent).toEqual([]);
-  });
-
-  it("goes on with the store when the server is away for a while", async () => {
-    const server = new FakeServer();
-    server.direct = true;
-    const { given, pauses } = tools(server);
-    const plan = server.planFiles;
-    const api = {
-      ...server,
-      planFiles: async (...all: Parameters<typeof plan>) => {
-        server.faults = [new Unreachable("away")];
-        return plan(...all);
-      },
-    };
-    await upload(await collect(files({ "a/1.png": "one" })), {
-      ...given,
-      api: api as unknown as FakeServer,
-    });
-    expect(pauses).toEqual([500]);
-    expect(server.stored).toEqual([sha("one")]);
-  });
-
-  it("gives up files that the store has never got as they are", async () => {
-    const server = new FakeServer();
+  it("gives up files that the store never gets as they are", async () => {
     server.direct = true;
     server.putToStore = async () => 200;
-    await expect(upload(await collect(files(two)), tools(server).given)).rejects.toThrow("no");
+    await expect(uploaded(two)).rejects.toThrow("no");
     expect(server.committed).toBe("");
   });
 
   it("takes an archive as sent where only the answer was lost", async () => {
-    const server = new FakeServer();
+    server.putArchive = () => Promise.reject(new Refused(409, "scene_committed", "no", false));
     const candidate = await collect(new Map([["a.tar", new File(["x"], "a.tar")]]));
-    const { given } = tools(server);
-    server.faults = [];
-    const api = {
-      ...server,
-      putArchive: async () => Promise.reject(new Refused(409, "scene_committed", "no", false)),
-    };
-    const scene = await upload(candidate, { ...given, api: api as unknown as FakeServer });
+    const { signal } = new AbortController();
+    const scene = await upload(candidate, { api: server, hash, signal, onStep: () => {} });
     expect(scene.id).toBe("scene_1");
   });
 });

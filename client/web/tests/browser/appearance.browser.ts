@@ -1,7 +1,7 @@
 import { execFileSync } from "node:child_process";
 import { readdirSync } from "node:fs";
 import { resolve } from "node:path";
-import type { Browser, BrowserContext, Page } from "playwright-core";
+import type { BrowserContext, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
 import { answerAs, type World } from "../support/cannedServer.js";
 import { python } from "../support/checkout.js";
@@ -15,11 +15,10 @@ const sizes = {
 } as const;
 type SizeName = keyof typeof sizes;
 
-let browser: Browser;
+const browser = await sharedChromium();
 let pictures: GoldenPictures;
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   pictures = await GoldenPictures.open(browser);
 });
 afterAll(async () => {

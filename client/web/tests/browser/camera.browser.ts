@@ -1,10 +1,10 @@
 import type { Browser, BrowserContext, CDPSession, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, it } from "vitest";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { beforeAll, describe, expect, it } from "vitest";
+import { sharedChromium } from "../support/chromium.js";
 import { fixedView, openViewer } from "./support.js";
 
 const size = { width: 480, height: 360 };
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
 
 const state = (of = page) => of.evaluate(() => document.querySelector("lambent-viewer")!.state);
@@ -28,10 +28,8 @@ async function open(more: Parameters<Browser["newContext"]>[0] = {}): Promise<[B
 }
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   [, page] = await open({ reducedMotion: "reduce" });
 });
-afterAll(() => closePages(browser));
 
 describe("the camera", () => {
   it("turns when someone drags, and with the arrow keys", async () => {

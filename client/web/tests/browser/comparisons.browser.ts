@@ -1,23 +1,21 @@
-import type { Browser, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, it } from "vitest";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import type { Page } from "playwright-core";
+import { beforeAll, describe, expect, it } from "vitest";
+import { sharedChromium } from "../support/chromium.js";
 import { expectedPictures, fixedView, meanDifference, openViewer, pictureOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
 
 const update = (change: object) =>
   page.evaluate((given) => document.querySelector("lambent-viewer")!.update(given), change);
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   page = await openViewer(browser, { ...fixedView, env: "preset:studio" }, "data/bundle/", {
     width: 480,
     height: 360,
   });
 });
-afterAll(() => closePages(browser));
 
 describe("comparisons", () => {
   it("show two lights beside each other", async () => {

@@ -1,18 +1,13 @@
-import type { Browser, BrowserContext, CDPSession, Page } from "playwright-core";
+import type { BrowserContext, CDPSession, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { sharedChromium } from "../support/chromium.js";
 import { fixedView, keep, meanDifference, openViewer, pictureOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
 const small = { width: 320, height: 240 };
-let browser: Browser;
+const browser = await sharedChromium();
 
 const state = (page: Page) => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
-
-beforeAll(async () => {
-  browser = await sharedChromium();
-});
-afterAll(() => closePages(browser));
 
 describe("on a telephone", () => {
   let context: BrowserContext;

@@ -1,15 +1,9 @@
-import type { Browser } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { describe, expect, inject, it } from "vitest";
+import { sharedChromium } from "../support/chromium.js";
 import { meanDifference, openViewer, pictureOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
-let browser: Browser;
-
-beforeAll(async () => {
-  browser = await sharedChromium();
-});
-afterAll(() => closePages(browser));
+const browser = await sharedChromium();
 
 describe("the element on another page", () => {
   it("shows what the viewer's page shows, without controls", async () => {

@@ -1,20 +1,16 @@
-import type { Browser, Page } from "playwright-core";
-import { afterAll, afterEach, beforeAll, describe, expect, inject, it } from "vitest";
+import type { Page } from "playwright-core";
+import { afterEach, describe, expect, inject, it } from "vitest";
 import { closePages, sharedChromium } from "../support/chromium.js";
 import { mostSeats } from "../../src/viewer/seats.js";
 import { fixedView, openViewer } from "./support.js";
 
 type Told = { readonly told: [string, Record<string, unknown>][] };
 
-let browser: Browser;
+const browser = await sharedChromium();
 /** Warnings of the browser, such as of too many contexts. */
 const warnings: string[] = [];
 
-beforeAll(async () => {
-  browser = await sharedChromium();
-});
 afterEach(() => closePages(browser));
-afterAll(() => closePages(browser));
 
 /** Open a page of somebody else with some elements. */
 async function open(

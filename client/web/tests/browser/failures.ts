@@ -1,9 +1,9 @@
-/** Keeps a screenshot of every open page when a test fails, in client/web/build/browser-tests. */
+/** Keeps a screenshot of every open page when a test fails, in client/web/build/browser-tests; closes the pages of a file. */
 
 import { mkdirSync } from "node:fs";
 import { join, resolve } from "node:path";
-import { afterEach } from "vitest";
-import { sharedChromium } from "../support/chromium.js";
+import { afterAll, afterEach } from "vitest";
+import { closePages, sharedChromium } from "../support/chromium.js";
 
 const folder = resolve(import.meta.dirname, "../../build/browser-tests");
 
@@ -17,3 +17,5 @@ afterEach(async ({ task }) => {
     await page.screenshot({ path: join(folder, `${name}.png`), timeout: 20_000 }).catch(() => {});
   }
 });
+
+afterAll(async () => closePages(await sharedChromium()));

@@ -1,22 +1,20 @@
 import { ALL_FORMATS, BufferSource, EncodedPacketSink, Input } from "mediabunny";
-import type { Browser, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, it } from "vitest";
+import type { Page } from "playwright-core";
+import { beforeAll, describe, expect, it } from "vitest";
 import { type FilmPlan, momentAt, momentOf, planned } from "../../src/film/plan.js";
 import { texts } from "../../src/words/words.js";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { sharedChromium } from "../support/chromium.js";
 import { announcements, fixedView, keep, meanDifference, openViewer } from "./support.js";
 
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   page = await openViewer(browser, { ...fixedView, env: "preset:sky" }, "data/bundle/", {
     width: 800,
     height: 700,
   });
 });
-afterAll(() => closePages(browser));
 
 /** Make a film on the viewer's page; returns its bytes and the counts that it reported. */
 async function filmOf(asked: Partial<FilmPlan>): Promise<{ film: Uint8Array; told: number[]; type: string }> {

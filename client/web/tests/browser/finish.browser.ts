@@ -1,16 +1,14 @@
-import type { Browser, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, it } from "vitest";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import type { Page } from "playwright-core";
+import { beforeAll, describe, expect, it } from "vitest";
+import { sharedChromium } from "../support/chromium.js";
 import { expectedPictures, fixedView, openViewer, pictureOf } from "./support.js";
 
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   page = await openViewer(browser, { ...fixedView, env: "preset:studio", background: "blurred" });
 });
-afterAll(() => closePages(browser));
 
 const show = (background: "blurred" | "colour" | "transparent") =>
   page.evaluate(async (asked) => {

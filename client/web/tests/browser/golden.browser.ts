@@ -1,11 +1,10 @@
-import type { Browser } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, it } from "vitest";
+import { describe, expect, it } from "vitest";
 import type { ViewCamera } from "../../src/render/looks.js";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { sharedChromium } from "../support/chromium.js";
 import { fixedView, fixtureFile, keep, meanDifference, openViewer, pictureOf } from "./support.js";
 
 type Golden = { readonly bundle: string; readonly picture: string; readonly camera: ViewCamera };
-let browser: Browser;
+const browser = await sharedChromium();
 
 /** Return the pixels away from outlines, which Python's pictures have from the networks and ours from the mesh. */
 function inside(rgba: Uint8Array, { width, height }: ViewCamera): Uint8Array {
@@ -17,11 +16,6 @@ function inside(rgba: Uint8Array, { width, height }: ViewCamera): Uint8Array {
     return around.every(([down, right]) => covered(row + down, column + right)) ? 1 : 0;
   });
 }
-
-beforeAll(async () => {
-  browser = await sharedChromium();
-});
-afterAll(() => closePages(browser));
 
 describe("a golden bundle", () => {
   const all = JSON.parse(fixtureFile("golden.json").toString()) as Golden[];

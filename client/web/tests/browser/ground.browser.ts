@@ -1,10 +1,10 @@
-import type { Browser, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, it } from "vitest";
+import type { Page } from "playwright-core";
+import { beforeAll, describe, expect, it } from "vitest";
 import { directionOfPixel, type Direction } from "../../src/engine/environment.js";
 import { rotateAboutZ } from "../lookup.js";
 import { type EnvironmentMap, pixelSolidAngle } from "../../src/engine/environmentMap.js";
 import { readExr } from "../../src/light/exrInput.js";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { sharedChromium } from "../support/chromium.js";
 import { fixedView, fixtureFile, keep, meanDifference, openViewer, pictureOf } from "./support.js";
 
 /** The boxes of tests/support/viewer_fixture.py; the ground is under the first. */
@@ -41,11 +41,10 @@ const above = {
   cameraToWorld: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 6, 0, 0, 0, 1],
 };
 
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   page = await openViewer(browser, {
     ...fixedView,
     env: "preset:even",
@@ -53,7 +52,6 @@ beforeAll(async () => {
     ground: "1",
   });
 });
-afterAll(() => closePages(browser));
 
 /** Whether a ray from the ground meets a box. */
 function hidden(x: number, y: number, direction: Direction): boolean {

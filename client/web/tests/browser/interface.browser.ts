@@ -1,13 +1,13 @@
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
-import type { Browser, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
+import type { Page } from "playwright-core";
+import { beforeAll, describe, expect, inject, it } from "vitest";
 import { readExr } from "../../src/light/exrInput.js";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { sharedChromium } from "../support/chromium.js";
 import { fixedView, fixtureFile, meanDifference, openViewer, pictureOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
 
 const state = () => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
@@ -32,13 +32,11 @@ async function drop(files: readonly { readonly name: string; readonly data: Buff
 }
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   page = await openViewer(browser, { ...fixedView, env: "preset:studio" }, "data/bundle/", {
     width: 480,
     height: 360,
   });
 });
-afterAll(() => closePages(browser));
 
 describe("channels", () => {
   it("all show something else", async () => {

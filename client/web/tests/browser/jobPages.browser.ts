@@ -1,20 +1,15 @@
 /** The pages of jobs, with a server that always answers the same. */
 
-import type { Browser, BrowserContext, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
+import type { BrowserContext, Page } from "playwright-core";
+import { describe, expect, inject, it } from "vitest";
 import { answerAs } from "../support/cannedServer.js";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { sharedChromium } from "../support/chromium.js";
 import { overflowing } from "../support/englishTexts.js";
 
 const phone = { width: 390, height: 844 };
 const desk = { width: 1280, height: 800 };
 
-let browser: Browser;
-
-beforeAll(async () => {
-  browser = await sharedChromium();
-});
-afterAll(() => closePages(browser));
+const browser = await sharedChromium();
 
 async function opened(context: BrowserContext, address: string): Promise<Page> {
   const page = await context.newPage();

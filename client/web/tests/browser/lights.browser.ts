@@ -1,9 +1,9 @@
-import type { Browser, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import type { Page } from "playwright-core";
+import { beforeAll, describe, expect, inject, it } from "vitest";
+import { sharedChromium } from "../support/chromium.js";
 import { fixtureFile, openViewer } from "./support.js";
 
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
 
 const state = () => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
@@ -22,7 +22,6 @@ const focused = () =>
   page.evaluate(() => document.querySelector("lambent-viewer")!.shadowRoot!.activeElement?.textContent);
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   const context = await browser.newContext({ viewport: { width: 900, height: 600 } });
   await context.addInitScript(() => {
     Object.assign(globalThis, { painted: 0 });
@@ -35,7 +34,6 @@ beforeAll(async () => {
   });
   page = await openViewer(context, { env: "preset:studio", rotate: "0,0,0" });
 });
-afterAll(() => closePages(browser));
 
 describe("the row of lights", () => {
   it("shows each of them as a ball, and which one is chosen", async () => {

@@ -1,16 +1,15 @@
-import type { Browser, CDPSession, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
+import type { CDPSession, Page } from "playwright-core";
+import { beforeAll, describe, expect, inject, it } from "vitest";
 import { scriptBytes } from "../../scripts/script_bytes.mjs";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { sharedChromium } from "../support/chromium.js";
 import { fixedView, openViewer } from "./support.js";
 
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
 let session: CDPSession;
 const loaded = new Set<string>();
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   const context = await browser.newContext({ viewport: { width: 160, height: 120 } });
   context.on("request", (request) => {
     const name = new URL(request.url()).pathname.split("/").at(-1)!;
@@ -20,7 +19,6 @@ beforeAll(async () => {
   page = await openViewer(context, { ...fixedView, env: "preset:studio" });
   session = await context.newCDPSession(page);
 });
-afterAll(() => closePages(browser));
 
 describe("the scripts that a page loads before it refines", () => {
   it("are those that are counted, and weigh 300 KB at most", () => {

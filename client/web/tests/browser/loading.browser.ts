@@ -1,16 +1,11 @@
-import type { Browser, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import type { Page } from "playwright-core";
+import { describe, expect, inject, it } from "vitest";
+import { sharedChromium } from "../support/chromium.js";
 import { serveFolders } from "../support/server.js";
 import { fixedView, fixtureFile, meanDifference, openViewer, pictureOf } from "./support.js";
 
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
-
-beforeAll(async () => {
-  browser = await sharedChromium();
-});
-afterAll(() => closePages(browser));
 
 async function openWith(answer: (path: string) => Promise<number>): Promise<Page> {
   const opened = await openViewer(browser, {}, null);

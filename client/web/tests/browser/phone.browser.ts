@@ -1,10 +1,10 @@
-import type { Browser, CDPSession, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, it } from "vitest";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import type { CDPSession, Page } from "playwright-core";
+import { beforeAll, describe, expect, it } from "vitest";
+import { sharedChromium } from "../support/chromium.js";
 import { openViewer } from "./support.js";
 
 const [width, height] = [390, 844];
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
 let session: CDPSession;
 
@@ -62,7 +62,6 @@ const update = (change: object) =>
   page.evaluate((given) => document.querySelector("lambent-viewer")!.update(given), change);
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   const context = await browser.newContext({
     ...{ viewport: { width, height }, hasTouch: true, isMobile: true, reducedMotion: "reduce" },
     locale: "en-US",
@@ -70,7 +69,6 @@ beforeAll(async () => {
   page = await openViewer(context, { env: "preset:studio", rotate: "0,0,0" });
   session = await context.newCDPSession(page);
 });
-afterAll(() => closePages(browser));
 
 describe("on a phone", () => {
   it("lights and the ball are in sight, and the object is in the middle of the rest", async () => {

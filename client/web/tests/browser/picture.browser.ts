@@ -1,12 +1,12 @@
-import type { Browser, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, it } from "vitest";
+import type { Page } from "playwright-core";
+import { beforeAll, describe, expect, it } from "vitest";
 import { directionOfPixel } from "../../src/engine/environment.js";
 import { lookup } from "../lookup.js";
 import { readExr } from "../../src/light/exrInput.js";
 import { toHalf } from "../../src/engine/half.js";
 import { turnMatrix } from "../../src/render/light.js";
 import { encodeExr } from "../../src/viewer/save.js";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { sharedChromium } from "../support/chromium.js";
 import {
   expectedPictures,
   fixedView,
@@ -17,14 +17,12 @@ import {
   pictureOf,
 } from "./support.js";
 
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   page = await openViewer(browser, { ...fixedView, tone: "linear", background: "transparent" });
 });
-afterAll(() => closePages(browser));
 
 describe("the picture", () => {
   const pictures = expectedPictures();

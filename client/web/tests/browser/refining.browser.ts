@@ -1,19 +1,14 @@
 import { join } from "node:path";
-import type { Browser, BrowserContext, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
+import type { BrowserContext, Page } from "playwright-core";
+import { describe, expect, inject, it } from "vitest";
 import { halfValue } from "../../src/engine/half.js";
 import type { RefineOptions } from "../../src/refine/status.js";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { sharedChromium } from "../support/chromium.js";
 import { serveFolders } from "../support/server.js";
 import { fixedView, keep, meanDifference } from "./support.js";
 
 const size = { width: 300, height: 220 };
-let browser: Browser;
-
-beforeAll(async () => {
-  browser = await sharedChromium();
-});
-afterAll(() => closePages(browser));
+const browser = await sharedChromium();
 
 /** Open an element without controls, of a size that its page gives it. */
 async function openElement(context: BrowserContext, site = inject("site")): Promise<Page> {

@@ -1,11 +1,11 @@
-import type { Browser, BrowserContext, Page } from "playwright-core";
-import { afterAll, beforeAll, expect, inject, it } from "vitest";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import type { BrowserContext, Page } from "playwright-core";
+import { beforeAll, expect, inject, it } from "vitest";
+import { sharedChromium } from "../support/chromium.js";
 import { fixedView } from "./support.js";
 
 type Link = { id: string; bundle_id: string; url: string; expires_at: string };
 
-let browser: Browser;
+const browser = await sharedChromium();
 let context: BrowserContext;
 let page: Page;
 let loggedIn = true;
@@ -35,13 +35,11 @@ async function answerLinks(page: Page): Promise<void> {
 }
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   context = await browser.newContext({ viewport: { width: 900, height: 700 } });
   await context.grantPermissions(["clipboard-read", "clipboard-write"]);
   page = await context.newPage();
   await answerLinks(page);
 });
-afterAll(() => closePages(browser));
 
 /** Open the viewer's page on a bundle. */
 async function open(src: string): Promise<void> {

@@ -1,17 +1,16 @@
-import type { Browser, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, it } from "vitest";
+import type { Page } from "playwright-core";
+import { beforeAll, describe, expect, it } from "vitest";
 import { readExr } from "../../src/light/exrInput.js";
 import type { ViewCamera } from "../../src/render/looks.js";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { sharedChromium } from "../support/chromium.js";
 import { announcements, fixedView, keep, meanDifference, openViewer, pictureOf } from "./support.js";
 
 // More than one part in either direction.
 const size = { width: 260, height: 240 };
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   page = await openViewer(
     browser,
     { ...fixedView, env: "preset:sunset", background: "colour" },
@@ -26,7 +25,6 @@ beforeAll(async () => {
     viewer.refineOptions = { ...viewer.refineOptions, workers: 1, samplesPerPixel: 64, relativeError: 0.01 };
   });
 });
-afterAll(() => closePages(browser));
 
 async function refined(asked: typeof size | ViewCamera): Promise<{ picture: Uint8Array; parts: number[] }> {
   const [text, parts] = await page.evaluate(async (wanted) => {

@@ -1,9 +1,9 @@
-import type { Browser, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, it } from "vitest";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import type { Page } from "playwright-core";
+import { beforeAll, describe, expect, it } from "vitest";
+import { sharedChromium } from "../support/chromium.js";
 import { openViewer } from "./support.js";
 
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
 
 const state = () => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
@@ -19,14 +19,12 @@ async function drag(across: number): Promise<void> {
 }
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   const context = await browser.newContext({
     viewport: { width: 900, height: 600 },
     reducedMotion: "reduce",
   });
   page = await openViewer(context, { env: "preset:studio", rotate: "0,0,0" });
 });
-afterAll(() => closePages(browser));
 
 describe("the page's address", () => {
   it("follows what is shown, and loading it again brings that back", async () => {

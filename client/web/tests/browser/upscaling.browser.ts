@@ -1,19 +1,18 @@
 import { join } from "node:path";
-import type { Browser, Page } from "playwright-core";
+import type { Page } from "playwright-core";
 import { build, type Rollup } from "vite";
-import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
+import { beforeAll, describe, expect, inject, it } from "vitest";
 import { refinedShares } from "../../src/refine/blending.js";
 import { Randoms } from "../../src/refine/randoms.js";
 import { leastReflectance, leastWeight, upscaling } from "../../src/refine/refinedLayer.js";
 import { unfolded } from "../../src/refine/surfacePoints.js";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { sharedChromium } from "../support/chromium.js";
 import type { LayerCase } from "./layerPage.js";
 
-let browser: Browser;
+const browser = await sharedChromium();
 let page: Page;
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   const built = (await build({
     ...{ configFile: false, logLevel: "error" },
     build: {
@@ -29,7 +28,6 @@ beforeAll(async () => {
   await page.addScriptTag({ content: built[0]!.output[0].code, type: "module" });
   await page.waitForFunction(() => globalThis.drawLayer !== undefined);
 });
-afterAll(() => closePages(browser));
 
 const [width, height, samples] = [20, 14, 2];
 const gain = [1.2, 0.8, 1] as const;

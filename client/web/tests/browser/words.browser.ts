@@ -1,21 +1,19 @@
 import { mkdirSync } from "node:fs";
 import { join, resolve } from "node:path";
-import type { Browser, Page } from "playwright-core";
-import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
+import type { Page } from "playwright-core";
+import { beforeAll, describe, expect, inject, it } from "vitest";
 import de from "../../src/words/de.json";
-import { closePages, sharedChromium } from "../support/chromium.js";
+import { sharedChromium } from "../support/chromium.js";
 import { englishOn, overflowing, saidOn } from "../support/englishTexts.js";
 import { openViewer } from "./support.js";
 
 const pictures = resolve(import.meta.dirname, "../../build/browser-tests");
 
-let browser: Browser;
+const browser = await sharedChromium();
 
 beforeAll(async () => {
-  browser = await sharedChromium();
   mkdirSync(pictures, { recursive: true });
 });
-afterAll(() => closePages(browser));
 
 async function opened(locale: string, width: number, height: number, src?: null): Promise<Page> {
   const context = await browser.newContext({ locale, viewport: { width, height }, reducedMotion: "reduce" });

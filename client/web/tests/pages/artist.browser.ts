@@ -1,6 +1,4 @@
-import { readFileSync } from "node:fs";
 import { resolve } from "node:path";
-import { ALL_FORMATS, BufferSource, EncodedPacketSink, Input } from "mediabunny";
 import type { Browser, BrowserContext, Page } from "playwright-core";
 import { afterAll, beforeAll, expect, it } from "vitest";
 import { startChromium } from "../support/chromium.js";
@@ -106,32 +104,6 @@ it("the result is relit in the viewer, by a chip and by the ball", async () => {
   expect(Math.abs(turnedBy)).toBeGreaterThan(30);
   expect(Math.abs(turnedBy)).toBeLessThan(90);
   await keepPicture(page, "relit");
-});
-
-it("a film of it has the frames that were asked for", { timeout: 300_000 }, async () => {
-  await page.click("summary:text-is('Save')");
-  await page.getByRole("button", { name: "Make a film…" }).click();
-  const dialog = page.getByRole("dialog", { name: "Make a film" });
-  await dialog.getByLabel("Size").selectOption({ label: "Another size" });
-  await dialog.getByLabel("Width").fill("160");
-  await dialog.getByLabel("Height").fill("120");
-  await dialog.getByLabel("Seconds").fill("0.5");
-  await dialog.getByLabel("Frames per second").fill("12");
-  await dialog.getByText("6 frames.").waitFor();
-  const [download] = await Promise.all([
-    page.waitForEvent("download", { timeout: 240_000 }),
-    dialog.getByRole("button", { name: "Make the film" }).click(),
-  ]);
-  expect(download.suggestedFilename()).toMatch(/\.mp4$/);
-  using film = new Input({
-    formats: ALL_FORMATS,
-    source: new BufferSource(readFileSync(await download.path())),
-  });
-  const track = (await film.getPrimaryVideoTrack())!;
-  let frames = 0;
-  for await (const packet of new EncodedPacketSink(track).packets()) frames += packet.data.length > 0 ? 1 : 0;
-  expect([track.displayWidth, track.displayHeight, frames]).toEqual([160, 120, 6]);
-  await dialog.getByRole("button", { name: "Close" }).click();
 });
 
 it("it is shared with a shop by a link with the light that was chosen", async () => {

@@ -2,7 +2,7 @@ import type { Browser, BrowserContext, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import { startChromium } from "../support/chromium.js";
 import { JobServer } from "./server.js";
-import { choose, folderOf, keepPicture, live, overflowOnPhone, serious } from "./support.js";
+import { choose, folderOf, keepPicture, live, serious, usable } from "./support.js";
 
 const capture = { "transforms_train.json": "{}", "train/1.png": "one", "train/2.png": "two" };
 
@@ -88,8 +88,7 @@ describe("logging in", () => {
 
   it("comes before everything: the start is empty, usable by all, and fits a phone", async () => {
     await page.waitForSelector("text=None yet.");
-    expect(await serious(page)).toEqual([]);
-    expect(await overflowOnPhone(page)).toBeLessThanOrEqual(0);
+    await usable(page);
   });
 });
 
@@ -102,12 +101,11 @@ describe("an upload", () => {
     await page.waitForSelector(".presets :text('about 45 seconds')");
     expect(await page.isDisabled("input[value=standard]")).toBe(true);
     expect(await page.isChecked("input[value=fast]")).toBe(true);
-    expect(await serious(page)).toEqual([]);
-    expect(await overflowOnPhone(page)).toBeLessThanOrEqual(0);
+    await usable(page);
     await keepPicture(page, "scene");
   });
 
-  it("goes on after the page was loaded again, and sends only what is missing", async () => {
+  it("continues after the page was loaded again, and sends only what is missing", async () => {
     const folder = folderOf(
       "vase",
       Object.fromEntries(Array.from({ length: 8 }, (_, place) => [`train/${place}.png`, `vase ${place}`])),
@@ -147,7 +145,7 @@ describe("an upload", () => {
     await page.setInputFiles("input[accept*=zip]", file("broken.zip", "PK but no directory"));
     await page.waitForSelector("#message:has-text('archive cannot be read')");
     expect(await serious(page)).toEqual([]);
-    // The browser logs refused requests; they are no fault of the page.
+    // The browser logs refused requests, which are not the page's fault.
     complaints.splice(0);
   });
 
@@ -167,7 +165,7 @@ describe("a job", () => {
     await stateIs("ready");
   });
 
-  it("goes on being shown when the server was killed and started again, and ends with its results", async () => {
+  it("continues to be shown when the server was killed and started again, and ends with its results", async () => {
     await ordered(scene, "num_steps=120\nstep_s=0.05");
     await page.waitForSelector("text=/step \\d+ of 120/");
     await page.waitForFunction(
@@ -190,13 +188,12 @@ describe("a job", () => {
     expect(await page.getAttribute("a.button.first", "href")).toMatch(
       /^viewer\.html#src=%2Fv1%2Fbundles%2Fbundle_/,
     );
-    // Of all requests only those to a server that was away may have failed.
+    // Only requests to the killed server may have failed.
     const told = complaints.filter(
       (text) => !/ERR_CONNECTION|ERR_INCOMPLETE|ERR_EMPTY|Failed to load resource/.test(text),
     );
     expect(told).toEqual([]);
-    expect(await serious(page)).toEqual([]);
-    expect(await overflowOnPhone(page)).toBeLessThanOrEqual(0);
+    await usable(page);
     await keepPicture(page, "job");
   });
 
@@ -334,7 +331,7 @@ describe("a job", () => {
     await page.waitForSelector("#message:has-text('is not a setting')");
   });
 
-  it("stands in the list with its scene's name, in dark colours too", async () => {
+  it("is in the list with its scene's name, in dark colours too", async () => {
     await page.emulateMedia({ colorScheme: "dark" });
     await page.goto(`${server.url}/#/`);
     await page.waitForSelector("ol[aria-label^=Jobs] li:has-text('bowl') .state[data-state=succeeded]");
@@ -345,8 +342,7 @@ describe("a job", () => {
         (image) => image.naturalWidth > 0,
       ),
     );
-    expect(await serious(page)).toEqual([]);
-    expect(await overflowOnPhone(page)).toBeLessThanOrEqual(0);
+    await usable(page);
     await keepPicture(page, "start-dark");
     await page.emulateMedia({ colorScheme: "light" });
   });

@@ -68,7 +68,7 @@ export class JobServer {
     this.#port = new URL(this.url).port;
   }
 
-  /** End the server as a power cut would; its runs go on. */
+  /** End the server as a power cut would; its runs continue. */
   async kill(): Promise<void> {
     await this.#end("SIGKILL");
   }

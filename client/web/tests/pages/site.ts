@@ -1,4 +1,4 @@
-/** A site of somebody else, for tests of what is shown there. */
+/** Another site, for tests of what it shows of ours. */
 
 import { once } from "node:events";
 import { createServer, type Server } from "node:http";

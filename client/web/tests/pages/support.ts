@@ -5,6 +5,7 @@ import { createRequire } from "node:module";
 import { tmpdir } from "node:os";
 import { dirname, join, resolve } from "node:path";
 import type { Frame, Page } from "playwright-core";
+import { expect } from "vitest";
 
 const axeSource = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const pictures = resolve(import.meta.dirname, "../../build/browser-tests");
@@ -46,13 +47,14 @@ export async function serious(page: Page): Promise<string[]> {
   });
 }
 
-/** Return by how many pixels the page is wider than a phone. */
-export async function overflowOnPhone(page: Page): Promise<number> {
+/** Expect that a page is usable by all, and fits a phone. */
+export async function usable(page: Page): Promise<void> {
+  expect(await serious(page)).toEqual([]);
   const before = page.viewportSize()!;
   await page.setViewportSize({ width: 360, height: 740 });
   const over = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
   await page.setViewportSize(before);
-  return over;
+  expect(over).toBeLessThanOrEqual(0);
 }
 
 /** Keep a picture of the whole page for people to look at. */
