@@ -40,36 +40,24 @@ describe("corrections", () => {
   });
 
   it("of one click are one point, and a straight line is its ends", () => {
-    expect(strokeOf("a", "object", [[1.26, 2]], 3)).toEqual({
-      frame: "a",
-      label: "object",
-      stroke: [[1.3, 2]],
-      radius: 3,
-    });
+    const click = { frame: "a", label: "object", stroke: [[1.3, 2]], radius: 3 };
+    expect(strokeOf("a", "object", [[1.26, 2]], 3)).toEqual(click);
     const line = [0, 1, 2, 3, 4].map((x) => [x, x] as const);
-    expect(simplified(line, 0.1)).toEqual([
-      [0, 0],
-      [4, 4],
-    ]);
+    expect(simplified(line, 0.1)).toEqual([line[0], line[4]]);
     expect(simplified([line[0]!, [2, 5], line[4]!], 0.1)).toHaveLength(3);
   });
 
   it("are boxes within the photograph whichever corner came first, and no box where nearly nothing is", () => {
-    expect(boxOf("a", "object", [300, 40], [-20, 5000], photo)).toEqual({
-      frame: "a",
-      label: "object",
-      box: [0, 40, 300, 3000],
-    });
+    const box = { frame: "a", label: "object", box: [0, 40, 300, 3000] };
+    expect(boxOf("a", "object", [300, 40], [-20, 5000], photo)).toEqual(box);
     expect(boxOf("a", "object", [10, 10], [12, 400], photo)).toBeNull();
   });
 
   it("are undone one by one, those of an earlier sitting too, and clearing is undone at once", () => {
     const history = new History([mark("a"), mark("b")]);
     history.add(mark("a", 5));
-    expect(documentOf(history.now)).toEqual({
-      version: 1,
-      corrections: [mark("a"), mark("b"), mark("a", 5)],
-    });
+    const corrections = [mark("a"), mark("b"), mark("a", 5)];
+    expect(documentOf(history.now)).toEqual({ version: 1, corrections });
     expect(history.of("a")).toHaveLength(2);
     history.clear("a");
     history.clear("nowhere");
@@ -166,7 +154,7 @@ describe("the applier", () => {
 });
 
 describe("the drawing", () => {
-  it("dims what is no object and outlines what is", () => {
+  it("dims the background and outlines the object", () => {
     const inside = [0, 0, 0, 0, 0, 0, 255, 255, 255, 0, 0, 255, 255, 255, 0, 0, 255, 255, 255, 0];
     const rgba = new Uint8ClampedArray(inside.flatMap((value) => [value, value, value, 255]));
     overlay(rgba, 5, 4);
@@ -188,17 +176,13 @@ describe("the grid", () => {
 
   it("asks for a few at a time", async () => {
     let [now, most, all] = [0, 0, 0];
-    await inLines(
-      6,
-      Array.from({ length: 40 }, (_, number) => number),
-      async () => {
-        now += 1;
-        most = Math.max(most, now);
-        await new Promise((done) => setTimeout(done, 1));
-        now -= 1;
-        all += 1;
-      },
-    );
+    await inLines(6, [...new Array(40).keys()], async () => {
+      now += 1;
+      most = Math.max(most, now);
+      await new Promise((done) => setTimeout(done, 1));
+      now -= 1;
+      all += 1;
+    });
     expect([most, all]).toEqual([6, 40]);
   });
 });
@@ -245,7 +229,7 @@ describe("the local backend", () => {
     await backend.mask("x");
     const signal = new AbortController().signal;
     await backend.apply(documentOf([mark("x")]), signal);
-    expect((await backend.finish(documentOf([]))).command).toBe("lambent train");
+    expect(await backend.finish(documentOf([]))).toBe("lambent train");
     expect(asked.map(([url]) => url)).toEqual([
       "/edit/a%2Fb/picture?frame=IMG%201%262&side=240",
       "/edit/a%2Fb/mask?frame=x",

@@ -1,6 +1,7 @@
-import { describe, expect, it, vi } from "vitest";
+import { beforeEach, describe, expect, it, vi } from "vitest";
 import { isListed, purpose } from "../src/jobs/jobLine.js";
 import { verdict } from "../src/jobs/masksView.js";
+import { documentOf } from "../src/masks/corrections.js";
 import {
   correctionsOf,
   latestPrepared,
@@ -12,14 +13,8 @@ import {
 import { masksAddress, placeOf } from "../src/page/addresses.js";
 import type { Artifact, Job } from "../src/page/rest.js";
 
-const marks = {
-  version: 1,
-  corrections: [{ frame: "a", label: "object", box: [0, 0, 9, 9] }],
-} as const;
-const others = {
-  version: 1,
-  corrections: [{ frame: "b", label: "background", box: [1, 1, 5, 5] }],
-} as const;
+const marked = (frame: string) => documentOf([{ frame, label: "object", box: [0, 0, 9, 9] }]);
+const [marks, others] = [marked("a"), marked("b")];
 
 function job(values: Partial<Job> = {}): Job {
   return {
@@ -110,13 +105,19 @@ async function opened(server: FakeServer) {
   const prepared = await readPrepared(server, (await latestPrepared(server, "scene_a"))!);
   return new RestMaskBackend(server, "scene_a", prepared, () => `key ${keys++}`);
 }
-const never = () => new AbortController().signal;
+const { signal } = new AbortController();
 
 describe("masks on a server", () => {
+  let server: FakeServer;
+  let backend: RestMaskBackend;
+  beforeEach(async () => {
+    server = new FakeServer();
+    backend = await opened(server);
+  });
+
   it("are shown as the newest job has left them, in pixels of the photographs", async () => {
-    const server = new FakeServer();
     server.jobs.set("job_1", job({ id: "job_1", params: { corrections: JSON.stringify(marks) } }));
-    const backend = await opened(server);
+    backend = await opened(server);
     const capture = await backend.load();
     expect(capture.corrections).toEqual(marks);
     expect(capture.agreement).toBe(0.91);
@@ -129,41 +130,33 @@ describe("masks on a server", () => {
   });
 
   it("are corrected by jobs that read the capture in the same way, of which the last one stays", async () => {
-    const server = new FakeServer();
-    const backend = await opened(server);
-    expect((await backend.apply(marks, never())).changed).toEqual(["a"]);
+    expect((await backend.apply(marks, signal)).changed).toEqual(["a"]);
     expect(server.jobs.get("job_1")!.params).toEqual({
       layout: "colmap",
       corrections: JSON.stringify(marks),
     });
     expect(server.jobs.get("job_1")!.seed).toBe(3);
-    expect((await backend.apply(others, never())).changed).toEqual(["a", "b"]);
-    // What was there before the page stays.
+    expect((await backend.apply(others, signal)).changed).toEqual(["a", "b"]);
+    // The jobs of before stay.
     expect(server.deleted).toEqual(["job_1"]);
     expect(new Set(server.keys).size).toBe(2);
   });
 
   it("are kept at the end, and computed once more only where they differ", async () => {
-    const server = new FakeServer();
-    const backend = await opened(server);
-    await backend.apply(marks, never());
-    expect((await backend.finish(marks)).address).toBe("#/scenes/scene_a");
+    await backend.apply(marks, signal);
+    expect(await backend.finish(marks)).toBe("#/scenes/scene_a");
     expect(server.jobs.size).toBe(2);
-    await backend.finish({ version: 1, corrections: [] });
+    await backend.finish(documentOf([]));
     expect(server.jobs.get("job_2")!.params).toEqual({ layout: "colmap" });
   });
 
   it("stay as they were where corrections fail, with the reason", async () => {
-    const server = new FakeServer();
-    const backend = await opened(server);
     server.state = "failed";
-    await expect(backend.apply(marks, never())).rejects.toThrow("cannot be used");
+    await expect(backend.apply(marks, signal)).rejects.toThrow("cannot be used");
     expect(await (await backend.mask("a")).text()).toBe("mask of a");
   });
 
   it("take no answer to corrections that were overtaken, and end their job", async () => {
-    const server = new FakeServer();
-    const backend = await opened(server);
     const overtaken = new AbortController();
     vi.spyOn(server, "waitForJob").mockImplementationOnce(async () => {
       overtaken.abort();
@@ -175,19 +168,17 @@ describe("masks on a server", () => {
   });
 
   it("of another version are not shown", async () => {
-    const server = new FakeServer();
     vi.spyOn(server, "document").mockResolvedValue({ ...preparation, version: 2 });
     await expect(opened(server)).rejects.toThrow("version 2");
   });
 
-  it("are told in words", async () => {
-    const server = new FakeServer();
+  it("have a verdict in words", async () => {
     const prepared = await readPrepared(server, job());
-    expect(verdict(prepared)).toBe("Agreement between the views: 91%; least certain: b.");
-    expect(verdict({ ...prepared, preparation: { ...preparation, reason: "too few views" } })).toContain(
-      "too few views",
-    );
-    expect(verdict({ ...prepared, preparation: { ...preparation, editable: false } })).toContain("came with");
+    const told = (values: Partial<Preparation>) =>
+      verdict({ ...prepared, preparation: { ...preparation, ...values } });
+    expect(told({})).toBe("Agreement between the views: 91%; least certain: b.");
+    expect(told({ reason: "too few views" })).toContain("too few views");
+    expect(told({ editable: false })).toContain("came with");
   });
 
   it("have a place of their own, and their jobs are not listed one by one", () => {

@@ -3,9 +3,8 @@
 import { jobAddress } from "../page/addresses.js";
 import { arrange, h, replaceKeyed, setText } from "../page/dom.js";
 import { formatDuration, formatNumber, formatTime } from "../page/format.js";
-import type { Job } from "../page/rest.js";
+import { isFinal, type Job } from "../page/rest.js";
 import { thumbnail } from "../page/thumbnail.js";
-import { isFinal } from "./store.js";
 import { stateLabel } from "./view.js";
 import { fillIn, named, texts } from "../words/words.js";
 

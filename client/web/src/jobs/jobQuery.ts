@@ -1,7 +1,6 @@
 /** The filter of a list of jobs: as an address, as parameters of a request, and applied to one job. */
 
-import type { Job } from "../page/rest.js";
-import { isFinal } from "./store.js";
+import { isFinal, type Job } from "../page/rest.js";
 import { texts } from "../words/words.js";
 
 export type JobQuery = {

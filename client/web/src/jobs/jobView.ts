@@ -4,13 +4,12 @@ import { button } from "../page/actions.js";
 import { jobAddress, masksAddress, sceneAddress } from "../page/addresses.js";
 import { h, replaceKeyed, section, setText } from "../page/dom.js";
 import { formatDuration, formatTime } from "../page/format.js";
-import type { Job, Scene } from "../page/rest.js";
+import { isFinal, type Job, type Scene } from "../page/rest.js";
 import { fractionDone, jobName, progressText, purpose } from "./jobLine.js";
 import { curves, stageList } from "./live.js";
 import { logView } from "./log.js";
 import { Previews } from "./previews.js";
 import { resultSection } from "./results.js";
-import { isFinal } from "./store.js";
 import { type Context, stateLabel, type View } from "./view.js";
 import { fillIn, named, texts } from "../words/words.js";
 

@@ -1,6 +1,6 @@
 /** The live view of a running job: stages, pictures, curves. */
 
-import { h, setText } from "../page/dom.js";
+import { h, setText, svg } from "../page/dom.js";
 import { formatDuration, formatNumber } from "../page/format.js";
 import type { Job } from "../page/rest.js";
 import { chart, thinned } from "./curves.js";
@@ -11,7 +11,6 @@ import { fillIn, named, texts } from "../words/words.js";
 const width = 400;
 const height = 100;
 const maxSamples = 240;
-const svgSpace = "http://www.w3.org/2000/svg";
 
 export type Part = { readonly element: HTMLElement; readonly update: (record: JobRecord) => void };
 export type StageState = "done" | "now" | "waiting";
@@ -137,15 +136,11 @@ function titleOf(stage: string): string {
 }
 
 function plot(name: string, unit: string, digits: number, logarithmic: boolean) {
-  const picture = document.createElementNS(svgSpace, "svg");
-  picture.setAttribute("viewBox", `0 0 ${width} ${height}`);
-  picture.setAttribute("preserveAspectRatio", "none");
-  picture.setAttribute("role", "img");
-  picture.setAttribute("class", "chart");
-  const line = document.createElementNS(svgSpace, "polyline");
-  picture.append(line);
+  const line = svg("polyline");
+  const box = { viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: "none" };
+  const picture = svg("svg", { ...box, role: "img", class: "chart" }, line);
   const caption = h("figcaption", { class: "faint" });
-  const element = h("figure", { hidden: true }, caption, picture as unknown as HTMLElement);
+  const element = h("figure", { hidden: true }, caption, picture);
   const number = (value: number) => `${formatNumber(value, digits)}${unit === "" ? "" : ` ${unit}`}`;
   const update = (samples: readonly Sample[]) => {
     const drawn = chart(thinned(samples, maxSamples), width, height, logarithmic);

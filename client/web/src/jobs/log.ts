@@ -1,8 +1,7 @@
 /** The log of a job's run processes, loaded on demand. */
 
 import { h, setText } from "../page/dom.js";
-import type { Job } from "../page/rest.js";
-import { isFinal } from "./store.js";
+import { isFinal, type Job } from "../page/rest.js";
 import type { Context } from "./view.js";
 import { texts } from "../words/words.js";
 

@@ -4,12 +4,10 @@ import { button } from "../page/actions.js";
 import { jobAddress, sceneAddress } from "../page/addresses.js";
 import { h, replaceKeyed, setText } from "../page/dom.js";
 import { formatPercent } from "../page/format.js";
-import { type Job, newKey, type Scene } from "../page/rest.js";
-import type { Finished } from "../masks/backend.js";
+import { isFinal, type Job, newKey, type Scene } from "../page/rest.js";
 import { type Editor, maskEditor } from "../masks/editor.js";
 import { latestPrepared, type Prepared, RestMaskBackend, readPrepared } from "../masks/restBackend.js";
 import { progressText } from "./jobLine.js";
-import { isFinal } from "./store.js";
 import type { Context, View } from "./view.js";
 import { fillIn, texts } from "../words/words.js";
 
@@ -111,8 +109,8 @@ class MasksView implements View {
       return;
     }
     const backend = new RestMaskBackend(api, this.scene.id, prepared, newKey);
-    const finished = ({ address }: Finished) => {
-      if (address !== undefined) location.hash = address;
+    const finished = (address: string) => {
+      location.hash = address;
     };
     const editor = await maskEditor({ backend, fail, finishLabel: texts.masks.use, finished });
     if (this.#closed) {

@@ -3,11 +3,10 @@
 import { button } from "../page/actions.js";
 import { h, replaceKeyed, section, setText } from "../page/dom.js";
 import { formatTime } from "../page/format.js";
-import type { Scene, SceneReport } from "../page/rest.js";
+import { isFinal, type Scene, type SceneReport } from "../page/rest.js";
 import { isListed, jobList, progressText, purpose } from "./jobLine.js";
 import { orderForm } from "./orderForm.js";
 import { reportSection } from "./report.js";
-import { isFinal } from "./store.js";
 import { uploadPanel } from "./uploadPanel.js";
 import { type Context, sizeText, stateLabel, type View } from "./view.js";
 import { fillIn, texts } from "../words/words.js";

@@ -23,13 +23,6 @@ export type JobRecord = {
   stages: Map<string, number>;
 };
 
-export const finalStates: ReadonlySet<string> = new Set(["succeeded", "failed", "cancelled"]);
-
-/** Return whether a job has ended; a state that is not known has not. */
-export function isFinal(job: Pick<Job, "state">): boolean {
-  return finalStates.has(job.state);
-}
-
 /** The jobs and the listeners to their changes. */
 export class JobStore {
   readonly #records = new Map<string, JobRecord>();

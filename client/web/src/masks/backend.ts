@@ -26,15 +26,6 @@ export type Applied = {
   readonly changed: readonly string[];
 };
 
-export type Finished = {
-  /** What happens next, in words. */
-  readonly told: string;
-  /** A command to continue with in a terminal. */
-  readonly command?: string;
-  /** The address to continue at. */
-  readonly address?: string;
-};
-
 export interface MaskBackend {
   load(): Promise<Capture>;
   /** Return a photograph whose longer side has about `side` pixels, as JPEG. */
@@ -43,5 +34,6 @@ export interface MaskBackend {
   mask(frame: string): Promise<Blob>;
   /** Apply all corrections to all photographs; a later call may end this one. */
   apply(corrections: CorrectionList, signal: AbortSignal): Promise<Applied>;
-  finish(corrections: CorrectionList): Promise<Finished>;
+  /** Keep the masks, and return how to continue: a command for a terminal, or the address of a page. */
+  finish(corrections: CorrectionList): Promise<string>;
 }

@@ -3,7 +3,7 @@
 import { h, section, setText } from "../page/dom.js";
 import { formatNumber, formatPercent } from "../page/format.js";
 import { Applier, type ApplyState } from "./applier.js";
-import type { Applied, Capture, Finished, Frame, MaskBackend } from "./backend.js";
+import type { Applied, Capture, Frame, MaskBackend } from "./backend.js";
 import { documentOf, History } from "./corrections.js";
 import { doubtfulFirst, Grid } from "./grid.js";
 import { Pad } from "./pad.js";
@@ -18,7 +18,8 @@ export type EditorContext = {
   readonly recovered?: () => void;
   /** The text of the button that ends the editing. */
   readonly finishLabel: string;
-  readonly finished: (finished: Finished) => void;
+  /** Called at the end with how to continue, as `MaskBackend.finish` returns it. */
+  readonly finished: (next: string) => void;
 };
 
 export type Editor = { readonly element: HTMLElement; readonly close: () => void };
@@ -280,9 +281,9 @@ class MaskEditor implements Editor {
     finish.disabled = true;
     this.#applier.stop();
     try {
-      const finished = await this.context.backend.finish(documentOf(this.#history.now));
+      const next = await this.context.backend.finish(documentOf(this.#history.now));
       this.close();
-      this.context.finished(finished);
+      this.context.finished(next);
     } catch (error) {
       finish.disabled = false;
       this.context.fail(error);

@@ -42,10 +42,7 @@ export function localBackend(key: string, send: typeof fetch = (...given) => fet
       (await (await post("corrections", corrections, signal)).json()) as Applied,
     finish: async (corrections) => {
       const { command } = (await (await post("finish", corrections)).json()) as { command: string };
-      return {
-        told: texts.masks.toldLocal,
-        command,
-      };
+      return command;
     },
   };
 }

@@ -2,7 +2,6 @@
 
 import { explain } from "../page/actions.js";
 import { h } from "../page/dom.js";
-import type { Finished } from "./backend.js";
 import { maskEditor } from "./editor.js";
 import { keyOf, localBackend } from "./localBackend.js";
 import { speakAsBrowser, texts } from "../words/words.js";
@@ -23,12 +22,12 @@ function recovered(): void {
   message.hidden = true;
 }
 
-function finished({ told: text, command }: Finished): void {
+function finished(command: string): void {
   main.replaceChildren(
     h("h1", { tabindex: -1 }, texts.masks.done),
-    h("p", { role: "status" }, text),
+    h("p", { role: "status" }, texts.masks.toldLocal),
     h("p", {}, texts.masks.goOn),
-    h("pre", { tabindex: 0 }, h("code", {}, command ?? "")),
+    h("pre", { tabindex: 0 }, h("code", {}, command)),
   );
   main.querySelector("h1")?.focus();
 }

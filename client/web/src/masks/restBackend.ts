@@ -1,8 +1,8 @@
 /** The editor of masks on a server: jobs of the kind `prepare` compute the masks, their artifacts are shown. */
 
 import { sceneAddress } from "../page/addresses.js";
-import type { Api, Artifact, Job } from "../page/rest.js";
-import type { Applied, Capture, Finished, MaskBackend } from "./backend.js";
+import { type Api, type Artifact, isFinal, type Job } from "../page/rest.js";
+import type { Applied, Capture, MaskBackend } from "./backend.js";
 import type { CorrectionList } from "./corrections.js";
 import { fillIn, named, texts } from "../words/words.js";
 
@@ -91,11 +91,6 @@ export class RestMaskBackend implements MaskBackend {
     this.#shown = prepared;
   }
 
-  /** What is shown now. */
-  get prepared(): Prepared {
-    return this.#shown;
-  }
-
   async load(): Promise<Capture> {
     const { job, preparation } = this.#shown;
     const doubtful = new Set(preparation.doubtful);
@@ -143,12 +138,12 @@ export class RestMaskBackend implements MaskBackend {
     };
   }
 
-  async finish(corrections: CorrectionList): Promise<Finished> {
+  async finish(corrections: CorrectionList): Promise<string> {
     if (correctionsText(corrections) !== correctionsText(correctionsOf(this.#shown.job))) {
       await this.apply(corrections, new AbortController().signal);
     }
     this.#mine.clear();
-    return { told: texts.masks.toldServer, address: sceneAddress(this.sceneId) };
+    return sceneAddress(this.sceneId);
   }
 
   async #order(corrections: CorrectionList, signal: AbortSignal): Promise<Job> {
@@ -161,7 +156,7 @@ export class RestMaskBackend implements MaskBackend {
       this.newKey(),
     );
     try {
-      while (!["succeeded", "failed", "cancelled"].includes(job.state)) {
+      while (!isFinal(job)) {
         signal.throwIfAborted();
         job = await this.api.waitForJob(job.id, signal);
       }

@@ -20,6 +20,11 @@ export type Share = Schemas["Share"];
 export type PlannedFile = Schemas["PlannedFile"];
 export type FileUpload = Schemas["FileUpload"];
 
+/** Return whether a job has ended; a job of an unknown state has not. */
+export function isFinal({ state }: Pick<Job, "state">): boolean {
+  return ["succeeded", "failed", "cancelled"].includes(state);
+}
+
 /** A request that the server refused, with its problem document (RFC 9457). */
 export class Refused extends Error {
   override readonly name = "Refused";

@@ -1,15 +1,13 @@
 /** Small pictures on cards, and what is drawn where there is none. */
 
-import { h } from "./dom.js";
-
-const svgSpace = "http://www.w3.org/2000/svg";
+import { h, svg } from "./dom.js";
 
 /** Return a picture that can change; without an address, or where it cannot be loaded, a ball is drawn. */
 export function thumbnail(): { element: HTMLElement; show: (url: string | null) => void } {
   // Its name is next to it; screen readers need not announce it twice.
   const image = h("img", { alt: "", decoding: "async", loading: "lazy", hidden: true });
   const drawn = ball();
-  const element = h("span", { class: "thumbnail" }, image, drawn as unknown as HTMLElement);
+  const element = h("span", { class: "thumbnail" }, image, drawn);
   const reveal = (has: boolean) => {
     image.hidden = !has;
     drawn.classList.toggle("covered", has);
@@ -41,19 +39,11 @@ export function thumbnailOf(url: string | null): HTMLElement {
 
 /** Return a lit ball as a drawing in the page's colours. */
 function ball(): SVGElement {
-  const picture = document.createElementNS(svgSpace, "svg");
-  picture.setAttribute("viewBox", "0 0 40 30");
-  picture.setAttribute("aria-hidden", "true");
-  const parts: [string, string, number, number, number, number][] = [
-    ["ellipse", "shade", 21, 23.5, 9, 1.6],
-    ["ellipse", "body", 20, 15, 8, 8],
-    ["ellipse", "light", 17.2, 12.2, 2.6, 2.6],
-  ];
-  for (const [name, part, cx, cy, rx, ry] of parts) {
-    const shape = document.createElementNS(svgSpace, name);
-    shape.setAttribute("class", part);
-    for (const [key, value] of Object.entries({ cx, cy, rx, ry })) shape.setAttribute(key, String(value));
-    picture.append(shape);
-  }
-  return picture;
+  return svg(
+    "svg",
+    { viewBox: "0 0 40 30", "aria-hidden": "true" },
+    svg("ellipse", { class: "shade", cx: 21, cy: 23.5, rx: 9, ry: 1.6 }),
+    svg("ellipse", { class: "body", cx: 20, cy: 15, rx: 8, ry: 8 }),
+    svg("ellipse", { class: "light", cx: 17.2, cy: 12.2, rx: 2.6, ry: 2.6 }),
+  );
 }
