@@ -31,7 +31,7 @@ export function loadInWorker(
     signal.addEventListener("abort", () => fail(signal.reason));
     worker.onerror = (event) => {
       const what = event.message || bundleFaults.reader;
-      fail(new BundleFault("bundle.failed", { what, advice: bundleFaults.reload }));
+      fail(new BundleFault("bundle.failed", `${what}; ${bundleFaults.reload}`));
     };
     worker.onmessage = ({ data }: MessageEvent<BundleAnswer>) => {
       if (data.kind === "loaded") {
@@ -41,7 +41,7 @@ export function loadInWorker(
         worker.terminate();
         resolveFiner(data.tables);
       } else if (data.kind === "failed") {
-        fail(Object.assign(new BundleFault(data.code, { what: "", advice: "" }), { message: data.message }));
+        fail(new BundleFault(data.code, data.message));
       } else tell(data);
     };
     worker.postMessage(origin);

@@ -2,7 +2,7 @@
 
 import { Fault } from "../page/fault.js";
 import { type ViewerState, wrapped } from "../viewer/state.js";
-import { fillIn, type Problem, texts } from "../words/words.js";
+import { fillIn, texts } from "../words/words.js";
 
 /** What makes one turn in a film: the camera, the light, or both in opposite directions. */
 export const motions = ["turntable", "light", "both"] as const;
@@ -51,7 +51,7 @@ export function planned(asked: Partial<FilmPlan>): FilmPlan {
   const plan: FilmPlan = { ...defaultPlan, ...Object.fromEntries(given) };
   const inside = (value: number, [least, most]: readonly [number, number]): boolean =>
     value >= least && value <= most;
-  const refuse = (problem: Problem): never => {
+  const refuse = (problem: string): never => {
     throw new Fault("film.plan", problem);
   };
   if (!motions.includes(plan.motion)) {

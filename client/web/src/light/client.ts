@@ -37,9 +37,7 @@ export class LightClient {
 
   async #ask(question: Unnumbered<LightQuestion>): Promise<LightAnswer> {
     const answer = await this.#questions.ask(question);
-    if (answer.kind === "failed") {
-      throw Object.assign(new MapFault(answer.code, { what: "", advice: "" }), { message: answer.message });
-    }
+    if (answer.kind === "failed") throw new MapFault(answer.code, answer.message);
     return answer;
   }
 }

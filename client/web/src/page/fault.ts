@@ -1,14 +1,14 @@
 /** Bundles and environment maps that cannot be used. */
 
-import { bundleFaults, fillIn, mapFaults, type Problem } from "../words/words.js";
+import { bundleFaults, fillIn, mapFaults } from "../words/words.js";
 
-/** A problem with an input and what to do about it; `code` is one of those that are documented. */
+/** A problem with an input; its message is "what; advice", `code` is one of those that are documented. */
 export class Fault extends Error {
   constructor(
     readonly code: string,
-    { what, advice }: Problem,
+    message: string,
   ) {
-    super(`${what}; ${advice}`);
+    super(message);
   }
 }
 
@@ -32,17 +32,17 @@ export class BundleFault extends Fault {
 
 /** Return the fault for a part that does not match, which a new export fixes. */
 export function exportAgain(code: string, what: string): BundleFault {
-  return new BundleFault(code, { what, advice: bundleFaults.exportAgain });
+  return new BundleFault(code, `${what}; ${bundleFaults.exportAgain}`);
 }
 
 /** Return the fault for a file that has come damaged or in part. */
 export function fetchAgain(code: string, what: string): BundleFault {
-  return new BundleFault(code, { what, advice: bundleFaults.downloadAgain });
+  return new BundleFault(code, `${what}; ${bundleFaults.downloadAgain}`);
 }
 
 /** Return the fault for a bundle that may be meant to do harm. */
 export function unsafe(code: string, what: string): BundleFault {
-  return new BundleFault(code, { what, advice: bundleFaults.unsafe });
+  return new BundleFault(code, `${what}; ${bundleFaults.unsafe}`);
 }
 
 /** An environment map that cannot be used; codes are those of `lambent_relight`. */

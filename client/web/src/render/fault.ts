@@ -1,15 +1,11 @@
 /** Errors of drawing. */
 
 import { Fault } from "../page/fault.js";
-import { type Problem, texts } from "../words/words.js";
+import { texts } from "../words/words.js";
 
 /** Thrown where the browser cannot draw what the viewer needs. */
 export class GraphicsFault extends Error {
   override readonly name = "GraphicsFault";
-
-  constructor({ what, advice }: Problem) {
-    super(`${what}; ${advice}`);
-  }
 }
 
 /** Return the fault of a state that can no longer be drawn, in a film or in a refined picture. */

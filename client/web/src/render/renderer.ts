@@ -10,7 +10,7 @@ export function rendererOn(canvas: HTMLCanvasElement): WebGLRenderer {
   try {
     renderer = new WebGLRenderer({ canvas, antialias: false, alpha: true, premultipliedAlpha: true });
   } catch {
-    throw new GraphicsFault({ what: deviceFaults.noWebgl, advice: deviceFaults.advice });
+    throw new GraphicsFault(`${deviceFaults.noWebgl}; ${deviceFaults.advice}`);
   }
   const context = renderer.getContext();
   if (
@@ -18,7 +18,7 @@ export function rendererOn(canvas: HTMLCanvasElement): WebGLRenderer {
     !context.getExtension("EXT_color_buffer_half_float")
   ) {
     renderer.dispose();
-    throw new GraphicsFault({ what: deviceFaults.noHalfFloats, advice: deviceFaults.advice });
+    throw new GraphicsFault(`${deviceFaults.noHalfFloats}; ${deviceFaults.advice}`);
   }
   renderer.autoClear = false;
   renderer.debug.checkShaderErrors = true;

@@ -185,7 +185,7 @@ export function sourceOf(bundle: TinyBundle): FileSource {
     paths: new Set(files.keys()),
     read: async (path) => {
       const data = files.get(path);
-      if (data === undefined) throw new BundleFault("bundle.file_missing", { what: path, advice: "" });
+      if (data === undefined) throw new BundleFault("bundle.file_missing", path);
       return data;
     },
   };
