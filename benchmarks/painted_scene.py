@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from lambent_capture.checks.picture_camera import PictureCamera
 from lambent_capture.layouts.detect import describe_scene
 from lambent_capture.masks.consensus import MaskView
 from lambent_capture.pictures.coverage import frame_mask
 from lambent_capture.pictures.pictures import read_picture
+from lambent_capture.scenes.picture_camera import PictureCamera
 from lambent_core.colour import srgb_from_linear
 from lambent_proto.v1 import scene_pb2
 from lambent_relight.environment.maps import load_environment

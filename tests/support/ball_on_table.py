@@ -6,9 +6,9 @@ Beside the ball a block may stand, as clutter or as what a person must take away
 from dataclasses import dataclass
 
 import numpy as np
-from lambent_capture.checks.picture_camera import PictureCamera
 from lambent_capture.masks.consensus import MaskView
 from lambent_capture.masks.photograph import Photograph, SparsePoints
+from lambent_capture.scenes.picture_camera import PictureCamera
 from numpy import ndarray
 from scipy import ndimage
 from support.ball_views import ball_hits, rays

@@ -1,9 +1,9 @@
 """Views of a ball: silhouettes whose hull, agreement and brightness are known."""
 
 import numpy as np
-from lambent_capture.checks.hull import Silhouette
-from lambent_capture.checks.picture_camera import PictureCamera
 from lambent_capture.checks.sphere import fibonacci_sphere
+from lambent_capture.scenes.picture_camera import PictureCamera
+from lambent_capture.scenes.silhouettes import Silhouette
 from numpy import ndarray
 from support.captures import look_at
 

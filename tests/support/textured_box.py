@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.scenes.picture_camera import PictureCamera
 from numpy import ndarray
 from scipy import ndimage
 from support.ball_views import rays

@@ -9,12 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from numpy import ndarray
 from scipy import ndimage
 
-from lambent_capture.checks.hull import Hull, Silhouette, footprint, grown
+from lambent_capture.arrays import Points, Region
+from lambent_capture.checks.hull import HullVotes, footprint, grown
 from lambent_capture.checks.sphere import unit_directions
+from lambent_capture.scenes.silhouettes import Silhouette
 
 _SCALES = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.18)
 _MAX_PART = 0.01
@@ -50,7 +52,7 @@ class Agreement:
 
 
 def compare(
-    hull: Hull, silhouettes: Sequence[Silhouette], *, tolerated: int, unexplained_limit: float
+    hull: HullVotes, silhouettes: Sequence[Silhouette], *, tolerated: int, unexplained_limit: float
 ) -> list[Agreement]:
     """Return the agreement of each silhouette with the hull of the others.
 
@@ -88,11 +90,11 @@ def compare(
     return agreements
 
 
-def _share(part: Bool[ndarray, "height width"], whole: Bool[ndarray, "height width"]) -> float:
+def _share(part: Region, whole: Region) -> float:
     return float(part.sum() / max(whole.sum(), 1))
 
 
-def _have_neighbours(hull: Hull, silhouettes: Sequence[Silhouette]) -> Bool[ndarray, " views"]:
+def _have_neighbours(hull: HullVotes, silhouettes: Sequence[Silhouette]) -> Bool[ndarray, " views"]:
     positions = np.array([each.camera.position for each in silhouettes])
     directions = unit_directions(positions, hull.points.mean(axis=0))
     near = directions @ directions.T >= np.cos(np.radians(_NEIGHBOUR_DEG))
@@ -100,12 +102,7 @@ def _have_neighbours(hull: Hull, silhouettes: Sequence[Silhouette]) -> Bool[ndar
 
 
 def _look(
-    silhouette: Silhouette,
-    core: Float[ndarray, "points 3"],
-    explained: Bool[ndarray, "height width"],
-    unexplained_share: float,
-    *,
-    dense: bool,
+    silhouette: Silhouette, core: Points, explained: Region, unexplained_share: float, *, dense: bool
 ) -> Agreement:
     mask = silhouette.mask
     shown, index, _ = silhouette.camera.pixels(core)
@@ -124,9 +121,7 @@ def _look(
     )
 
 
-def _specks(
-    mask: Bool[ndarray, "height width"], unexplained: Bool[ndarray, "height width"]
-) -> tuple[int, int]:
+def _specks(mask: Region, unexplained: Region) -> tuple[int, int]:
     """Return number and area in pixels of the small islands of the mask that the hull does not explain.
 
     Small holes are not counted: a lattice has some that only one view looks through.
@@ -141,7 +136,7 @@ def _specks(
 
 
 def _carved(
-    hull: Hull,
+    hull: HullVotes,
     silhouettes: Sequence[Silhouette],
     view: int,
     others: Bool[ndarray, " points"],
@@ -164,7 +159,7 @@ def _carved(
     return worst
 
 
-def moved_share(silhouette: Silhouette, core: Float[ndarray, "points 3"], spacing: float) -> float:
+def moved_share(silhouette: Silhouette, core: Points, spacing: float) -> float:
     """Return the share of the disagreement that remains after the best shift and scale of the silhouette.
 
     Near 0, a turned or displaced camera explains everything; 1 means that it explains nothing.
@@ -186,17 +181,13 @@ def moved_share(silhouette: Silhouette, core: Float[ndarray, "points 3"], spacin
     return best / before if before > 0.0 else 1.0
 
 
-def _disagreement(
-    mask: Bool[ndarray, "height width"],
-    wanted: Bool[ndarray, "height width"],
-    wide: Bool[ndarray, "height width"],
-) -> float:
+def _disagreement(mask: Region, wanted: Region, wide: Region) -> float:
     """Return the pixels in one mask only, a rim of a pixel forgiven, over the area wanted."""
     differing = (mask & ~wide).sum() + (wanted & ~grown(mask, 2)).sum()
     return float(differing / wanted.sum())
 
 
-def _scaled(mask: Bool[ndarray, "height width"], scale: float) -> Bool[ndarray, "height width"]:
+def _scaled(mask: Region, scale: float) -> Region:
     if scale == 1.0:
         return mask
     height, width = mask.shape

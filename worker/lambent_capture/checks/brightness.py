@@ -8,8 +8,9 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from scipy import ndimage
 
-from lambent_capture.checks.hull import Hull
-from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.arrays import Grey, PerView, Points
+from lambent_capture.checks.hull import HullVotes
+from lambent_capture.scenes.picture_camera import PictureCamera
 
 MAX_POINTS = 4000
 DARKEST = 0.01
@@ -25,11 +26,11 @@ _SCALE = 0.15
 
 
 def surface_luminance(
-    hull: Hull,
+    hull: HullVotes,
     cells: Bool[ndarray, " points"],
     cameras: Sequence[PictureCamera],
-    luminances: Sequence[Float[ndarray, "height width"]],
-    coverages: Sequence[Float[ndarray, "height width"]],
+    luminances: Sequence[Grey],
+    coverages: Sequence[Grey],
 ) -> Float[ndarray, "views points"]:
     """Return log2 of the luminance with which views show points of the hull's surface; NaN where they do not.
 
@@ -58,9 +59,7 @@ def surface_luminance(
     return seen
 
 
-def _depth_map(
-    camera: PictureCamera, points: Float[ndarray, "points 3"], spacing: float
-) -> Float[ndarray, "height width"]:
+def _depth_map(camera: PictureCamera, points: Points, spacing: float) -> Grey:
     """Return the depth of the nearest point in each pixel and around it."""
     shown, index, depth = camera.pixels(points)
     nearest = np.full(camera.width * camera.height, np.inf)
@@ -75,9 +74,9 @@ def _depth_map(
 class Exposures:
     """Exposure of each view from common points, in EV; 0 where too few of them are visible."""
 
-    offsets: Float[ndarray, " views"]
+    offsets: PerView
     """By how much the view is brighter than the others show the same points; the median is 0."""
-    mismatch: Float[ndarray, " views"]
+    mismatch: PerView
     """Median difference that is left once the offset is taken off: large where other points are seen."""
 
 
@@ -121,8 +120,8 @@ def _fitted(values: Float[ndarray, "views points"], weights: Float[ndarray, "vie
 
 
 def deviation_from_neighbours(
-    offsets: Float[ndarray, " views"], directions: Float[ndarray, "views 3"], neighbours: int = 6
-) -> Float[ndarray, " views"]:
+    offsets: PerView, directions: Float[ndarray, "views 3"], neighbours: int = 6
+) -> PerView:
     """Return by how much each offset differs from the median of the views nearest in direction."""
     if len(offsets) <= neighbours:
         return offsets - np.median(offsets)

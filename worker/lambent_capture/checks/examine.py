@@ -5,21 +5,22 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 from lambent_proto.v1 import capture_pb2, scene_pb2
 from numpy import ndarray
 
+from lambent_capture.arrays import Points, Vector
 from lambent_capture.checks.agreement import compare
 from lambent_capture.checks.brightness import (
     deviation_from_neighbours,
     relative_exposure,
     surface_luminance,
 )
-from lambent_capture.checks.hull import Hull, Silhouette, carve, footprint, tolerated_views
+from lambent_capture.checks.hull import HullVotes, carve, footprint, tolerated_views
 from lambent_capture.checks.limits import CaptureLimits
 from lambent_capture.checks.observe import Observation, observe
 from lambent_capture.checks.sphere import angles_deg, largest_gap, unit_directions
 from lambent_capture.scenes.extent import camera_axes, looked_at_point
+from lambent_capture.scenes.silhouettes import Silhouette
 
 SCHEMA_VERSION = "1.0"
 
@@ -96,7 +97,7 @@ def _measure_sharpness(figures: capture_pb2.CaptureFigures, observations: Sequen
 
 
 def _measure_sphere(
-    figures: capture_pb2.CaptureFigures, observations: Sequence[Observation], centre: Float[ndarray, "3"]
+    figures: capture_pb2.CaptureFigures, observations: Sequence[Observation], centre: Vector
 ) -> None:
     positions = np.array([each.camera.position for each in observations]).reshape(-1, 3)
     directions = unit_directions(positions, centre)
@@ -122,7 +123,7 @@ def _measure_silhouettes(
     observations: Sequence[Observation],
     manifest: scene_pb2.SceneManifest,
     limits: CaptureLimits,
-) -> Float[ndarray, "3"] | None:
+) -> Vector | None:
     """Fill in what the silhouettes say of each other; return the middle of their hull, if they have one."""
     silhouettes = [Silhouette(each.camera, each.mask) for each in observations]
     if len(silhouettes) < limits.min_views_for_hull:
@@ -152,11 +153,7 @@ def _measure_silhouettes(
 
 
 def _outside_box(
-    silhouettes: Sequence[Silhouette],
-    points: Float[ndarray, "points 3"],
-    spacing: float,
-    low: Float[ndarray, "3"],
-    high: Float[ndarray, "3"],
+    silhouettes: Sequence[Silhouette], points: Points, spacing: float, low: Vector, high: Vector
 ) -> float:
     """Return the share of a silhouette that only cells outside of the box explain, median over the views.
 
@@ -177,9 +174,9 @@ def _outside_box(
 def _measure_exposure(
     figures: capture_pb2.CaptureFigures,
     observations: Sequence[Observation],
-    hull: Hull,
+    hull: HullVotes,
     cells: ndarray,
-    centre: Float[ndarray, "3"],
+    centre: Vector,
 ) -> None:
     ranges = []
     for light in sorted({picture.light for each in observations for picture in each.pictures}):

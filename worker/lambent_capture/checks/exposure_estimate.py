@@ -50,8 +50,9 @@ def even_out_exposure(
         problems.warning(
             "scene.exposure_contradicted",
             "the photographs say that they were exposed differently (by up to "
-            f"{measured(_range_ev(stated), 1)} EV), but show the same points equally bright, so what they "
-            "say is not used; check whether their brightness was changed afterwards or their EXIF was copied",
+            f"{measured(np.ptp(np.log2(stated)), 1)} EV), but show the same points equally bright, so what "
+            "they say is not used; check whether their brightness was changed afterwards or their EXIF was "
+            "copied",
         )
         stated, left = np.ones_like(stated), without
     share = believed_share(left, noise)
@@ -94,7 +95,3 @@ def _note_estimate(
         "a change of exposure and evened out; fixed exposure and white balance give better colours",
         manifest.frames[brightest].name,
     )
-
-
-def _range_ev(factors: Float64[ndarray, " views"]) -> float:
-    return float(np.ptp(np.log2(factors)))

@@ -4,29 +4,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from numpy import ndarray
 from scipy import ndimage
 
-from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.arrays import Points, Region, Vector
+from lambent_capture.scenes.picture_camera import PictureCamera
+from lambent_capture.scenes.silhouettes import Silhouette
 
 COARSE_CELLS = 40
 
 
-@dataclass(frozen=True, slots=True)
-class Silhouette:
-    """The part of a picture that shows the object."""
-
-    camera: PictureCamera
-    """In pixels of `mask`."""
-    mask: Bool[ndarray, "height width"]
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Hull:
+class HullVotes:
     """The votes of all silhouettes on the cells of a grid."""
 
-    points: Float[ndarray, "points 3"]
+    points: Points
     """Centres of the cells, in the order of an array of `shape`."""
     shape: tuple[int, int, int]
     spacing: float
@@ -47,10 +40,7 @@ class Hull:
         return count
 
     def cells(
-        self,
-        against: Int[ndarray, " points"],
-        tolerated: int,
-        without: int | None = None,
+        self, against: Int[ndarray, " points"], tolerated: int, without: int | None = None
     ) -> Bool[ndarray, " points"]:
         """Return the cells that at most `tolerated` of the votes `against` contradict.
 
@@ -66,13 +56,8 @@ def tolerated_views(num_views: int, share: float) -> int:
 
 
 def carve(
-    silhouettes: Sequence[Silhouette],
-    low: Float[ndarray, "3"],
-    high: Float[ndarray, "3"],
-    *,
-    cells: int,
-    tolerated: int,
-) -> Hull | None:
+    silhouettes: Sequence[Silhouette], low: Vector, high: Vector, *, cells: int, tolerated: int
+) -> HullVotes | None:
     """Return the hull of `silhouettes` on a grid of `cells` along the longest side of what they leave over.
 
     It is looked for in the box from `low` to `high` (scene units); None where nothing of that box is left.
@@ -94,13 +79,8 @@ def carve(
 
 
 def _votes(
-    silhouettes: Sequence[Silhouette],
-    low: Float[ndarray, "3"],
-    high: Float[ndarray, "3"],
-    cells: int,
-    *,
-    widened: bool,
-) -> Hull:
+    silhouettes: Sequence[Silhouette], low: Vector, high: Vector, cells: int, *, widened: bool
+) -> HullVotes:
     """Return the votes; `widened` silhouettes cover all cells they touch, not only centres."""
     spacing = float((high - low).max()) / cells
     counts = np.maximum(np.ceil((high - low) / spacing - 1e-6).astype(int), 1)
@@ -121,7 +101,7 @@ def _votes(
             # The whole object is in the picture, so anything outside the picture is not the object.
             outside[view] |= ~shown & (depth > 0.0)
         inside += shown & covered
-    return Hull(
+    return HullVotes(
         points=points,
         shape=(int(counts[0]), int(counts[1]), int(counts[2])),
         spacing=spacing,
@@ -131,21 +111,19 @@ def _votes(
     )
 
 
-def touches_border(mask: Bool[ndarray, "height width"]) -> bool:
+def touches_border(mask: Region) -> bool:
     """Return whether the mask reaches an edge of the picture, so that the object may continue beyond it."""
     return bool(mask[[0, -1]].any() or mask[:, [0, -1]].any())
 
 
-def grown(mask: Bool[ndarray, "height width"], pixels: int) -> Bool[ndarray, "height width"]:
+def grown(mask: Region, pixels: int) -> Region:
     """Return the mask grown by some pixels in all eight directions."""
     if pixels <= 0:
         return mask
     return ndimage.maximum_filter(mask, size=2 * pixels + 1, mode="constant")
 
 
-def footprint(
-    camera: PictureCamera, points: Float[ndarray, "points 3"], spacing: float
-) -> Bool[ndarray, "height width"]:
+def footprint(camera: PictureCamera, points: Points, spacing: float) -> Region:
     """Return the pixels that cells at `points` may cover, at least one pixel wider than their centres."""
     seen = np.zeros(camera.width * camera.height, dtype=bool)
     shown, index, _ = camera.pixels(points)

@@ -7,20 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import UInt8
 from lambent_core.colour import srgb_from_linear
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 from PIL import Image
 from scipy import ndimage
 
+from lambent_capture.arrays import Grey, Grey32, Region, Rgb
 from lambent_capture.checks.limits import CaptureLimits
-from lambent_capture.checks.picture_camera import PictureCamera
 from lambent_capture.pictures.coverage import frame_mask
 from lambent_capture.pictures.picture import box_averaged
 from lambent_capture.pictures.pictures import read_picture
 from lambent_capture.pictures.resample import reduced_size
 from lambent_capture.pictures.upright import upright_turns
+from lambent_capture.scenes.picture_camera import PictureCamera
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 _RIM = 3
@@ -41,7 +42,7 @@ class PictureObservation:
     """Share of the object's pixels at the end of the scale; 0 for linear pictures."""
     detail: float
     """Fine over coarse contrast on the object; the unit means nothing, only ratios do. 0 where unknown."""
-    luminance: Float32[ndarray, "height width"]
+    luminance: Grey32
     """Linear, in the exposure of the first frame, at silhouette size."""
 
 
@@ -52,7 +53,7 @@ class Observation:
     frame: scene_pb2.Frame
     camera: PictureCamera
     """In pixels at silhouette size."""
-    coverage: Float32[ndarray, "height width"]
+    coverage: Grey32
     """Share of each pixel that the object covers, at silhouette size."""
     pictures: tuple[PictureObservation, ...]
     thumbnail: str
@@ -61,7 +62,7 @@ class Observation:
     """The first frame's picture by which people recognise the capture: JPEG, base64, upright; else empty."""
 
     @property
-    def mask(self) -> Bool[ndarray, "height width"]:
+    def mask(self) -> Region:
         """Return the silhouette."""
         return self.coverage >= 0.5
 
@@ -146,7 +147,7 @@ def _observe_frame(
     )
 
 
-def fine_contrast(values: Float[ndarray, "height width"], alpha: Float[ndarray, "height width"]) -> float:
+def fine_contrast(values: Grey, alpha: Grey) -> float:
     """Return the share of the object's contrast that is in its finest details, independent of its content.
 
     The standard deviation of details of about one pixel, over that of details of about three: blur takes the
@@ -163,14 +164,12 @@ def fine_contrast(values: Float[ndarray, "height width"], alpha: Float[ndarray, 
     return float(fine[inside].std()) / spread if spread > 1e-4 else 0.0
 
 
-def thumbnail_of(
-    image_srgb: UInt8[ndarray, "height width 3"], alpha: Float32[ndarray, "height width"], *, side: int
-) -> str:
+def thumbnail_of(image_srgb: Rgb, alpha: Grey32, *, side: int) -> str:
     """Return `outlined_picture` as JPEG, base64."""
     return _jpeg(Image.fromarray(outlined_picture(image_srgb, alpha, side)), quality=75)
 
 
-def portrait_of(image_srgb: UInt8[ndarray, "height width 3"], alpha: Float32[ndarray, "height width"]) -> str:
+def portrait_of(image_srgb: Rgb, alpha: Grey32) -> str:
     """Return a picture of at most `PORTRAIT_SIDE` pixels over light grey, as JPEG in base64."""
     over = image_srgb * alpha[..., None] + _PORTRAIT_BEHIND * (1.0 - alpha[..., None])
     size = reduced_size(alpha.shape[1], alpha.shape[0], PORTRAIT_SIDE)
@@ -185,10 +184,7 @@ def _jpeg(image: Image.Image, *, quality: int) -> str:
 
 
 def outlined_picture(
-    image_srgb: UInt8[ndarray, "height width 3"],
-    alpha: Float[ndarray, "height width"],
-    side: int,
-    behind: float = 0.0,
+    image_srgb: Rgb, alpha: Grey, side: int, behind: float = 0.0
 ) -> UInt8[ndarray, "rows columns 3"]:
     """Return a small picture over grey with the outline of the mask in magenta.
 

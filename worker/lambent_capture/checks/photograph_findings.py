@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 from lambent_core.measured import measured
@@ -17,6 +17,8 @@ from lambent_capture.problems import Problems
 from lambent_capture.scenes.frames import listed
 
 LIMITS = PhotographLimits()
+_Fault = tuple[str, Sequence[PhotographFigures], str, str]
+"""Code, photographs, what they are, and what to do."""
 _FRAME_NAME = re.compile(r"(?i).*(frame|still|vlcsnap|img|out|image)?[-_ ]?\d{3,}$")
 _CAMERA_FOLDER = re.compile(r"[1-9]\d\d\w{5}")
 """Folders that cameras make for every so many photographs: three digits and five letters (DCF), 100CANON."""
@@ -37,8 +39,7 @@ def note_photographs(
         return
     usable = figures.usable
     _note_each(usable, limits, problems)
-    _note_exif(usable, limits, problems)
-    _note_same(figures, limits, problems)
+    _note_alike(usable, limits, problems)
     _note_folders(usable, limits, problems)
     if _look_like_video(usable):
         problems.warning(
@@ -119,119 +120,101 @@ def _note_nothing_to_see(figures: PhotographsFigures, num_blank: int, shown: int
 
 
 def _note_each(usable: Sequence[PhotographFigures], limits: PhotographLimits, problems: Problems) -> None:
-    blank = [each for each in usable if each.deviation < limits.blank_levels]
+    """Note the photographs with each kind of fault."""
+    for code, rows, what, advice in (*_by_look(usable, limits), *_by_file(usable, limits)):
+        if rows:
+            named = listed([each.name for each in rows])
+            problems.warning(code, f"{what}: {named}; {advice}", rows[0].name)
+
+
+def _by_look(usable: Sequence[PhotographFigures], limits: PhotographLimits) -> Iterator[_Fault]:
+    """Yield the kinds of faults that photographs show, each with those that have it."""
     blurred = [each for each in usable if 0.0 < each.sharpness < limits.sharpness]
     screens = [each for each in usable if _is_screenshot(each, limits)]
     bright = [each for each in usable if each.clipped_share > limits.clipped_share and each not in screens]
-    clipped = [each for each in bright if not each.has_alpha]
-    wide = [each for each in usable if each.is_panorama or _aspect(each) > limits.panorama_aspect]
-    _note(
-        "scene.image_blank", blank, "photographs of one colour and nothing else", "leave them out", problems
+    percent = measured(100.0 * limits.clipped_share)
+    yield (
+        "scene.image_blank",
+        [each for each in usable if each.deviation < limits.blank_levels],
+        "photographs of one colour and nothing else",
+        "leave them out",
     )
-    _note(
+    yield (
         "scene.image_blurred",
         sorted(blurred, key=lambda each: each.sharpness),
-        f"blurred photographs, with less than {measured(100.0 * limits.sharpness)} % of the fine detail of "
-        "the sharpest",
+        f"blurred photographs, with less than {measured(100.0 * limits.sharpness)} % of the fine detail "
+        "of the sharpest",
         "take them again in focus and without motion, or leave them out",
-        problems,
     )
-    _note(
+    yield (
         "scene.image_clipped",
-        sorted(clipped, key=lambda each: -each.clipped_share),
-        f"photographs that are overexposed in more than {measured(100.0 * limits.clipped_share)} % of "
-        "their area",
+        sorted((each for each in bright if not each.has_alpha), key=lambda each: -each.clipped_share),
+        f"photographs that are overexposed in more than {percent} % of their area",
         "what is clipped on the object is lost, so expose less",
-        problems,
     )
-    _note(
-        "scene.screenshot", screens, "screenshots, by their look", "use the photographs themselves", problems
-    )
-    _note(
+    yield ("scene.screenshot", screens, "screenshots, by their look", "use the photographs themselves")
+    yield (
         "scene.panorama",
-        wide,
+        [each for each in usable if each.is_panorama or _aspect(each) > limits.panorama_aspect],
         "panoramas, which no single position of a camera explains",
         "leave them out and take single photographs",
-        problems,
     )
-    animated = [each for each in usable if each.num_pictures > 1]
-    _note(
+    yield (
         "scene.animation",
-        animated,
+        [each for each in usable if each.num_pictures > 1],
         "animations, of which the first picture is used",
         "save single photographs",
-        problems,
     )
 
 
-def _note_exif(usable: Sequence[PhotographFigures], limits: PhotographLimits, problems: Problems) -> None:
-    fisheyes = [
-        each
-        for each in usable
-        if "fisheye" in _plain(each.facts.lens) or 0.0 < each.facts.focal_35mm < limits.fisheye_35mm
-    ]
-    _note(
+def _by_file(usable: Sequence[PhotographFigures], limits: PhotographLimits) -> Iterator[_Fault]:
+    """Yield the kinds of faults that files state or share with others, each with those that have it."""
+    yield (
         "scene.fisheye",
-        fisheyes,
+        [each for each in usable if _is_fisheye(each, limits)],
         "photographs through a fisheye or an extremely wide lens, which is not modelled",
         "use the ordinary lens of the camera (on a telephone: 1x)",
-        problems,
     )
     for doubt in sorted({each.colour_doubt for each in usable if each.colour_doubt}):
-        _note(
+        yield (
             "scene.colour_profile",
             [each for each in usable if each.colour_doubt == doubt],
             f"photographs each of which {doubt}",
             "export them again if they look wrong",
-            problems,
         )
-    _note(
+    yield (
         "scene.mirrored",
         [each for each in usable if each.facts.is_mirrored],
         "photographs that are stored as mirror images, as their EXIF says, and are mirrored back",
         "remove the EXIF orientation if writing on the object reads backwards now",
-        problems,
     )
-    cropped = [each for each in usable if _was_cropped(each, limits)]
-    _note(
+    yield (
         "scene.exif_wrong",
-        cropped,
+        [each for each in usable if _was_cropped(each, limits)],
         "photographs of another shape than the camera wrote, so cropped or stretched afterwards",
         "the focal length in their EXIF is not theirs any more, so use the originals",
-        problems,
     )
-    impossible = [
-        each
-        for each in usable
-        if each.facts.focal_35mm > 3000.0 or each.facts.focal_mm > 3000.0 or each.facts.time_s > 3600.0
-    ]
-    _note(
+    yield (
         "scene.exif_wrong",
-        impossible,
+        [each for each in usable if _is_impossible(each)],
         "photographs with impossible EXIF (a focal length above 3000 mm, or an exposure above an hour)",
         "remove the EXIF or use the originals",
-        problems,
     )
-
-
-def _note_same(figures: PhotographsFigures, limits: PhotographLimits, problems: Problems) -> None:
-    usable = figures.usable
-    copies = [each for each in usable if each.is_copy]
-    _note(
+    yield (
         "scene.image_duplicate",
-        copies,
+        [each for each in usable if each.is_copy],
         "copies of other photographs",
         "they add nothing, so remove them",
-        problems,
     )
-    same = [each for each in usable if each.same_as and not each.is_copy]
-    _note(
+    yield (
         "scene.photographs_alike",
-        same,
+        [each for each in usable if each.same_as and not each.is_copy],
         "photographs of the same view as another",
         "they add nothing",
-        problems,
     )
+
+
+def _note_alike(usable: Sequence[PhotographFigures], limits: PhotographLimits, problems: Problems) -> None:
     alike = [each for each in usable if each.alike]
     if len(alike) > limits.alike_share * len(usable):
         problems.warning(
@@ -277,6 +260,15 @@ def _is_screenshot(each: PhotographFigures, limits: PhotographLimits) -> bool:
     return drawn and low <= _aspect(each) <= high and each.flat_share > limits.flat_share
 
 
+def _is_fisheye(each: PhotographFigures, limits: PhotographLimits) -> bool:
+    return "fisheye" in _plain(each.facts.lens) or 0.0 < each.facts.focal_35mm < limits.fisheye_35mm
+
+
+def _is_impossible(each: PhotographFigures) -> bool:
+    facts = each.facts
+    return facts.focal_35mm > 3000.0 or facts.focal_mm > 3000.0 or facts.time_s > 3600.0
+
+
 def _was_cropped(each: PhotographFigures, limits: PhotographLimits) -> bool:
     width, height = each.facts.stated_size
     if not width or not height:
@@ -291,9 +283,3 @@ def _aspect(each: PhotographFigures) -> float:
 
 def _plain(text: str) -> str:
     return re.sub(r"[^a-z]", "", text.lower())
-
-
-def _note(code: str, rows: Sequence[PhotographFigures], what: str, advice: str, problems: Problems) -> None:
-    if rows:
-        named = listed([each.name for each in rows])
-        problems.warning(code, f"{what}: {named}; {advice}", rows[0].name)

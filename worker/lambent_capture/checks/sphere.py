@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from lambent_capture.arrays import PerView, Vector
+
 NUM_DIRECTIONS = 4000
 """Directions tried as the middle of a gap; they lie about 2.5 degrees apart."""
 
@@ -22,17 +24,13 @@ class Gap:
     """Of its middle, above the horizon."""
 
 
-def unit_directions(
-    positions: Float[ndarray, "views 3"], centre: Float[ndarray, "3"]
-) -> Float[ndarray, "views 3"]:
+def unit_directions(positions: Float[ndarray, "views 3"], centre: Vector) -> Float[ndarray, "views 3"]:
     """Return the unit directions from the object to the cameras."""
     offsets = positions - centre
     return offsets / np.maximum(np.linalg.norm(offsets, axis=-1, keepdims=True), 1e-12)
 
 
-def angles_deg(
-    directions: Float[ndarray, "views 3"],
-) -> tuple[Float[ndarray, " views"], Float[ndarray, " views"]]:
+def angles_deg(directions: Float[ndarray, "views 3"]) -> tuple[PerView, PerView]:
     """Return azimuth (from +x towards +y, -180 to 180) and elevation (-90 to 90) of unit directions."""
     azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
     return azimuth, np.degrees(np.arcsin(np.clip(directions[:, 2], -1.0, 1.0)))

@@ -12,10 +12,9 @@ from collections import defaultdict
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from jaxtyping import Float64
 from lambent_proto.v1 import scene_pb2
-from numpy import ndarray
 
+from lambent_capture.arrays import Pose64
 from lambent_capture.layouts.colmap_model import (
     UNDISTORT,
     ColmapCamera,
@@ -35,10 +34,10 @@ from lambent_capture.layouts.named_files import find_file, find_picture_file, pi
 from lambent_capture.layouts.transforms_json import scaled
 from lambent_capture.pictures.lens import LensFigures, camera_with_lens
 from lambent_capture.pictures.picture_error import PictureError
-from lambent_capture.pictures.pictures import encoding_of, picture_size
+from lambent_capture.pictures.pictures import picture_size
 from lambent_capture.problems import Problems
-from lambent_capture.scenes.capture import LIGHT, Capture
-from lambent_capture.scenes.frames import check_sizes, frame_names, listed
+from lambent_capture.scenes.capture import LIGHT, Capture, training_frame
+from lambent_capture.scenes.frames import check_sizes, listed, name_frames
 from lambent_capture.scenes.links import link_out, note_links
 from lambent_capture.scenes.reading import ROOT, inside_folder, pose_from_world_to_camera
 
@@ -101,9 +100,7 @@ def read_model(
         _set_masks(folder, pictures, masks, capture, problems)
     for frames in by_camera.values():
         check_sizes(frames, problems)
-    names = frame_names([frame.images[0].path for frame in capture.frames])
-    for frame in capture.frames:
-        frame.name = names[frame.images[0].path]
+    name_frames(capture.frames)
     return capture
 
 
@@ -173,14 +170,10 @@ def _read_frame(
     described = camera_with_lens(fitted, pose, subject, problems)
     if described is None:
         return None
-    return scene_pb2.Frame(
-        split=scene_pb2.SPLIT_TRAIN,
-        camera=described,
-        images=[scene_pb2.Image(light=LIGHT, path=picture, encoding=encoding_of(picture))],
-    )
+    return training_frame(picture, described)
 
 
-def _pose(image: ColmapImage, subject: str, problems: Problems) -> Float64[ndarray, "4 4"] | None:
+def _pose(image: ColmapImage, subject: str, problems: Problems) -> Pose64 | None:
     length = math.hypot(*image.rotation)
     if not 1e-6 <= length <= 1e6:  # no rotation: singular as a matrix, or no number
         matrix = np.full((3, 4), 0.0 if length < 1.0 else np.nan)

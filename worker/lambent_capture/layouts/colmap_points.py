@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy import ndarray
 
+from lambent_capture.arrays import Points64
 from lambent_capture.layouts.colmap_model import ModelError, open_text
 
 _POINT = struct.Struct("<Q3d3Bd")
@@ -20,7 +21,7 @@ MAX_BYTES = 2**31
 class ColmapPoints:
     """Points of a sparse model."""
 
-    xyz: Float64[ndarray, "points 3"]
+    xyz: Points64
     """In the model's world."""
     images: tuple[frozenset[int], ...]
     """For each point the numbers of the images that see it."""
@@ -81,9 +82,7 @@ def _from_text(path: Path) -> ColmapPoints:
     return _checked(np.array(xyz).reshape(-1, 3), np.array(errors), images)
 
 
-def _checked(
-    xyz: Float64[ndarray, "points 3"], error: Float64[ndarray, " points"], images: list[frozenset[int]]
-) -> ColmapPoints:
+def _checked(xyz: Points64, error: Float64[ndarray, " points"], images: list[frozenset[int]]) -> ColmapPoints:
     if not np.isfinite(xyz).all():
         raise ModelError("has points that are not finite")
     return ColmapPoints(xyz, tuple(images), error)

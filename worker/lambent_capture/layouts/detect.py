@@ -5,12 +5,11 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Float64
 from lambent_core.errors import SceneRefusedError, UsageError
 from lambent_core.layouts import LAYOUTS, PHOTOGRAPHS, Layout
 from lambent_proto.v1 import scene_pb2
-from numpy import ndarray
 
+from lambent_capture.arrays import Pose64
 from lambent_capture.layouts import camera_places, photographs
 from lambent_capture.layouts.mask_folder import attach_masks, attach_masks_beside
 from lambent_capture.layouts.readers import reader_of
@@ -143,9 +142,7 @@ def _read_capture(folder: Path, layout: str, problems: Problems, cameras: Path |
     return None if known.nested and not settle_linked(folder, problems) else capture
 
 
-def _check_cameras(
-    folder: Path, capture: Capture, known: Layout, problems: Problems
-) -> Float64[ndarray, "4 4"]:
+def _check_cameras(folder: Path, capture: Capture, known: Layout, problems: Problems) -> Pose64:
     """Check the cameras of a capture together, after bringing them near the origin by the returned matrix."""
     if problems.usable:  # else a picture may be left over because its camera is what is wrong
         report_extra_files(folder, capture.frames, capture.other_files, problems)

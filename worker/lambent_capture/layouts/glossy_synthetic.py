@@ -16,13 +16,14 @@ from jaxtyping import Float64
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
+from lambent_capture.arrays import Rotation64
 from lambent_capture.layouts.pickled_arrays import PickleRefusedError, read_pickled_data
 from lambent_capture.pictures.lens import LensFigures, camera_with_lens
 from lambent_capture.pictures.mask_levels import NERO_DEPTH
 from lambent_capture.pictures.picture_error import PictureError
 from lambent_capture.pictures.pictures import picture_size
 from lambent_capture.problems import Problems
-from lambent_capture.scenes.capture import LIGHT, Capture
+from lambent_capture.scenes.capture import LIGHT, Capture, training_frame
 from lambent_capture.scenes.reading import pose_from_world_to_camera
 
 NAME = "glossy_synthetic"
@@ -173,9 +174,8 @@ def _read_frame(folder: Path, base: str, name: str, problems: Problems) -> scene
     camera = camera_with_lens(figures, pose, subject, problems)
     if camera is None:
         return None
-    frame = scene_pb2.Frame(
-        name=name, camera=camera, images=[scene_pb2.Image(light=LIGHT, path=picture, encoding="srgb")]
-    )
+    frame = training_frame(picture, camera)
+    frame.name = name
     if (folder / depth).is_file():
         frame.mask, frame.mask_encoding = depth, NERO_DEPTH
     return frame
@@ -211,7 +211,7 @@ def _read_pickle(path: Path, subject: str, problems: Problems) -> Any:
         return None
 
 
-def _matrices(value: Any) -> tuple[Float64[ndarray, "3 4"], Float64[ndarray, "3 3"]] | None:
+def _matrices(value: Any) -> tuple[Float64[ndarray, "3 4"], Rotation64] | None:
     if not isinstance(value, list | tuple) or len(value) != 2:
         return None
     if not all(isinstance(part, np.ndarray) for part in value):

@@ -14,9 +14,8 @@ from lambent_proto.v1 import scene_pb2
 
 from lambent_capture.layouts.transforms_json import find_picture, frame_entries, posed_entries
 from lambent_capture.layouts.transforms_lens import LENS_KEYS
-from lambent_capture.pictures.pictures import encoding_of
 from lambent_capture.problems import Problems
-from lambent_capture.scenes.capture import LIGHT, Capture
+from lambent_capture.scenes.capture import LIGHT, Capture, training_frame
 from lambent_capture.scenes.exposure import stated_exposure
 from lambent_capture.scenes.frames import check_sizes
 from lambent_capture.scenes.reading import ROOT, read_json_object
@@ -94,12 +93,8 @@ def _read_split(
 
 def _frame(folder: Path, picture: str, split: scene_pb2.Split, camera: scene_pb2.Camera) -> scene_pb2.Frame:
     stem = picture.rsplit(".", maxsplit=1)[0]
-    frame = scene_pb2.Frame(
-        name=stem.replace("/", "_"),
-        split=split,
-        camera=camera,
-        images=[scene_pb2.Image(light=LIGHT, path=picture, encoding=encoding_of(picture))],
-    )
+    frame = training_frame(picture, camera)
+    frame.name, frame.split = stem.replace("/", "_"), split
     for kind, suffix in TRUTH_SUFFIXES.items():
         if (folder / (stem + suffix)).is_file():
             frame.truth[kind] = stem + suffix

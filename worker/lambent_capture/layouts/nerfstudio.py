@@ -13,11 +13,10 @@ from lambent_proto.v1 import scene_pb2
 from lambent_capture.layouts.named_files import find_file, folded, picture_names
 from lambent_capture.layouts.transforms_json import posed_entries
 from lambent_capture.layouts.transforms_lens import LENS_KEYS
-from lambent_capture.pictures.pictures import encoding_of
 from lambent_capture.problems import Problems
-from lambent_capture.scenes.capture import LIGHT, Capture
+from lambent_capture.scenes.capture import LIGHT, Capture, training_frame
 from lambent_capture.scenes.exposure import stated_exposure
-from lambent_capture.scenes.frames import check_sizes, frame_names, listed
+from lambent_capture.scenes.frames import check_sizes, listed, name_frames
 from lambent_capture.scenes.links import link_out
 from lambent_capture.scenes.reading import ROOT, inside_folder, read_json_object
 
@@ -45,15 +44,10 @@ def read_capture(folder: Path, problems: Problems, at: PurePosixPath = ROOT) -> 
         return capture
     shared_lens = []
     for subject, entry, picture, camera in posed_entries(folder, file, transforms, set(), problems, at):
-        frame = scene_pb2.Frame(
-            split=scene_pb2.SPLIT_TRAIN,
-            camera=camera,
-            images=[scene_pb2.Image(light=LIGHT, path=picture, encoding=encoding_of(picture))],
-        )
+        frame = training_frame(picture, camera)
         if not _read_mask(folder, at, entry, subject, frame, problems):
             continue
         capture.frames.append(frame)
-        frame.name = picture
         exposure = stated_exposure(entry)
         if exposure is not None:
             capture.exposures[picture] = exposure
@@ -61,10 +55,8 @@ def read_capture(folder: Path, problems: Problems, at: PurePosixPath = ROOT) -> 
             shared_lens.append(frame)
     check_sizes(shared_lens, problems)
     _choose_splits(at, transforms, capture, problems)
-    names = frame_names([frame.name for frame in capture.frames])
+    names = name_frames(capture.frames)
     capture.exposures = {names[path]: value for path, value in capture.exposures.items() if path in names}
-    for frame in capture.frames:
-        frame.name = names[frame.name]
     return capture
 
 

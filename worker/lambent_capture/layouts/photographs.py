@@ -22,10 +22,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from lambent_capture.layouts import colmap
 from lambent_capture.layouts.picture_files import photographs_in, pictures_below
-from lambent_capture.pictures.pictures import encoding_of
 from lambent_capture.problems import Problems
-from lambent_capture.scenes.capture import LIGHT, Capture
-from lambent_capture.scenes.frames import frame_names
+from lambent_capture.scenes.capture import LIGHT, Capture, training_frame
+from lambent_capture.scenes.frames import name_frames
 from lambent_capture.scenes.links import leads_inside, link_out, note_links
 
 NAME = "photographs"
@@ -100,10 +99,8 @@ def read_capture(folder: Path, problems: Problems, cameras: Path | None = None) 
         capture.up = known.up
         return capture
     capture = Capture(name=folder.resolve().name, lights=[LIGHT], up_is_z=False, has_cameras=False)
-    called = frame_names(names)
-    for name in names:
-        image = scene_pb2.Image(light=LIGHT, path=name, encoding=encoding_of(name))
-        capture.frames.append(scene_pb2.Frame(name=called[name], split=scene_pb2.SPLIT_TRAIN, images=[image]))
+    capture.frames = [training_frame(name) for name in names]
+    name_frames(capture.frames)
     return capture
 
 

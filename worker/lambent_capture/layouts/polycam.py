@@ -14,10 +14,9 @@ from typing import Any
 from lambent_proto.v1 import scene_pb2
 
 from lambent_capture.layouts.transforms_json import find_picture, read_camera
-from lambent_capture.pictures.pictures import encoding_of
 from lambent_capture.problems import Problems
-from lambent_capture.scenes.capture import LIGHT, Capture
-from lambent_capture.scenes.frames import frame_names
+from lambent_capture.scenes.capture import LIGHT, Capture, training_frame
+from lambent_capture.scenes.frames import name_frames
 from lambent_capture.scenes.links import leads_inside
 from lambent_capture.scenes.reading import ROOT, read_json_object
 
@@ -60,9 +59,7 @@ def read_capture(folder: Path, problems: Problems, at: PurePosixPath = ROOT) -> 
         if frame is not None and frame.images[0].path not in seen:
             seen.add(frame.images[0].path)
             capture.frames.append(frame)
-    names = frame_names([frame.images[0].path for frame in capture.frames])
-    for frame in capture.frames:
-        frame.name = names[frame.images[0].path]
+    name_frames(capture.frames)
     return capture
 
 
@@ -114,8 +111,4 @@ def _read_frame(
     camera = read_camera(folder, photograph, {}, own, path, problems)
     if camera is None:
         return None
-    return scene_pb2.Frame(
-        split=scene_pb2.SPLIT_TRAIN,
-        camera=camera,
-        images=[scene_pb2.Image(light=LIGHT, path=photograph, encoding=encoding_of(photograph))],
-    )
+    return training_frame(photograph, camera)

@@ -9,6 +9,7 @@ distortion hold however the focal length is given. Pixels are those of a picture
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from lambent_capture.pictures.lens import LensFigures
@@ -85,32 +86,30 @@ def _with_matrix(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     return {"cx": rows[0][2], "cy": rows[1][2], **settings, "fl_x": rows[0][0], "fl_y": rows[1][1]}
 
 
+@dataclass
 class _Reading:
     """The figures of one frame."""
 
-    def __init__(
-        self,
-        shared: Mapping[str, Any],
-        own: Mapping[str, Any],
-        size: tuple[int, int],
-        picture: str,
-        subject: str,
-        problems: Problems,
-    ) -> None:
-        self._picture, self._subject, self._problems = picture, subject, problems
-        self._own, self._shared = own, shared
-        self._size = self._stated_size({**shared, **own}, size)
+    shared: Mapping[str, Any]
+    own: Mapping[str, Any]
+    size: tuple[float, float]
+    picture: str
+    subject: str
+    problems: Problems
+
+    def __post_init__(self) -> None:
+        self.size = self._stated_size({**self.shared, **self.own}, self.size)
         # What the file says in pixels is of the size that the file states.
         self._shared_size = (
-            self._size if not {"w", "h"} & set(shared) else self._stated_size(shared, self._size)
+            self.size if not {"w", "h"} & set(self.shared) else self._stated_size(self.shared, self.size)
         )
 
     def lens(self, distortion: tuple[float, ...]) -> LensFigures:
         focal = self._focal_lengths()
         centre = [self._centre(axis, f"c{name}") for axis, name in enumerate(AXES)]
         return LensFigures(
-            width=round(self._size[0]),
-            height=round(self._size[1]),
+            width=round(self.size[0]),
+            height=round(self.size[1]),
             focal_x=focal[0],
             focal_y=focal[1],
             centre_x=centre[0],
@@ -119,7 +118,7 @@ class _Reading:
         )
 
     def _focal_lengths(self) -> tuple[float, float]:
-        own, shared = self._own, self._shared
+        own, shared = self.own, self.shared
         from_x = own if _gives(own, 0) else shared
         from_y = shared
         if _gives(own, 1):
@@ -146,14 +145,14 @@ class _Reading:
             angle = math.radians(angle)
         direction = ("horizontal", "vertical")[axis]
         shown = settings[key] if angle is None else angle
-        focal = focal_from_angle(shown, self._size[axis], self._subject, self._problems, direction)
+        focal = focal_from_angle(shown, self.size[axis], self.subject, self.problems, direction)
         if focal is None:
             raise _FaultyError
         return focal
 
     def _centre(self, axis: int, key: str) -> float:
-        settings = next((each for each in (self._own, self._shared) if key in each), None)
-        return 0.5 * self._size[axis] if settings is None else self._in_pixels(settings, key, axis)
+        settings = next((each for each in (self.own, self.shared) if key in each), None)
+        return 0.5 * self.size[axis] if settings is None else self._in_pixels(settings, key, axis)
 
     def _in_pixels(
         self, settings: Mapping[str, Any], key: str, axis: int, *, positive: bool = False
@@ -162,20 +161,20 @@ class _Reading:
         if number is None or (positive and number <= 0.0):
             self._refuse()
         assert number is not None
-        if settings is self._own or self._shared_size == self._size:
+        if settings is self.own or self._shared_size == self.size:
             return number
         self._require_same_shape()
-        return number * self._size[axis] / self._shared_size[axis]
+        return number * self.size[axis] / self._shared_size[axis]
 
     def _require_same_shape(self) -> None:
-        (width, height), (file_width, file_height) = self._size, self._shared_size
+        (width, height), (file_width, file_height) = self.size, self._shared_size
         if abs(width * file_height - height * file_width) > max(width, file_width, height, file_height):
-            self._problems.error(
+            self.problems.error(
                 "scene.image_size",
-                f"{self._subject} is stated to have {width:g} x {height:g} pixels, and takes a figure of its "
+                f"{self.subject} is stated to have {width:g} x {height:g} pixels, and takes a figure of its "
                 f"lens from the file, which states {file_width:g} x {file_height:g}; give the frame a lens "
                 "of its own",
-                self._picture,
+                self.picture,
             )
             raise _FaultyError
 
@@ -196,10 +195,10 @@ class _Reading:
         )
 
     def _refuse(self) -> None:
-        self._problems.error(
+        self.problems.error(
             "scene.lens_invalid",
-            f"{self._subject}: w, h, fl_x, fl_y must be positive numbers and cx, cy finite ones, in pixels",
-            self._subject,
+            f"{self.subject}: w, h, fl_x, fl_y must be positive numbers and cx, cy finite ones, in pixels",
+            self.subject,
         )
         raise _FaultyError
 

@@ -1,6 +1,5 @@
 """Keeps reduced photographs in a folder, by what they were made of, so that a run decodes each once."""
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +7,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Bool, Float32
-from lambent_core.files import digest, file_sha256
+from lambent_core.files import digest, file_sha256, whole_file
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
@@ -86,8 +85,5 @@ def _write(path: Path, pictures: Pictures) -> None:
     arrays = {"box": np.array(pictures.box)}
     arrays |= {f"images/{light}": values for light, values in pictures.images.items()}
     arrays |= {f"clipped/{light}": values for light, values in pictures.clipped.items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.stem}.{os.getpid()}.partial")
-    with partial.open("wb") as file:
+    with whole_file(path) as partial, partial.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
-    partial.replace(path)

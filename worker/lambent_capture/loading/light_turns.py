@@ -7,10 +7,10 @@ axes at the reference photograph: there it is the identity, and a map of the lig
 from typing import Literal, cast, get_args
 
 import numpy as np
-from jaxtyping import Float64
 from lambent_core.errors import UsageError
 from lambent_proto.v1 import scene_pb2
-from numpy import ndarray
+
+from lambent_capture.arrays import Rotation64
 
 LEAST_HORIZONTAL = 0.25
 """Horizontal part of a camera's axis from which it has an azimuth: 14 degrees from the vertical."""
@@ -47,7 +47,7 @@ def adopt_light(manifest: scene_pb2.SceneManifest, trained: scene_pb2.SceneManif
     manifest.light_frame[:] = trained.light_frame
 
 
-def light_turn(manifest: scene_pb2.SceneManifest, frame: scene_pb2.Frame) -> Float64[ndarray, "3 3"] | None:
+def light_turn(manifest: scene_pb2.SceneManifest, frame: scene_pb2.Frame) -> Rotation64 | None:
     """Return the rotation from the world to the light's frame at `frame`, None where the light does not turn.
 
     Fixed to the camera it is C_ref C^T, with the rotations C from camera axes to the world; fixed to the room
@@ -64,11 +64,11 @@ def light_turn(manifest: scene_pb2.SceneManifest, frame: scene_pb2.Frame) -> Flo
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _rotation(frame: scene_pb2.Frame) -> Float64[ndarray, "3 3"]:
+def _rotation(frame: scene_pb2.Frame) -> Rotation64:
     return np.array(frame.camera.camera_to_world).reshape(4, 4)[:3, :3]
 
 
-def _turn_about_vertical(reference: Float64[ndarray, "3 3"], here: Float64[ndarray, "3 3"]) -> float:
+def _turn_about_vertical(reference: Rotation64, here: Rotation64) -> float:
     """Return by which angle about +z a camera has to turn to look from where the reference looks, radians.
 
     From the horizontal parts of where they look from, however they were rolled. For cameras that look almost

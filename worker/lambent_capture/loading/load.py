@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float32, Float64
 from lambent_core.layouts import BENCHMARKS, PHOTOGRAPHS
 from lambent_core.scene import Camera, Margins, Scene, View
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
+from lambent_capture.arrays import Channels32, Pose64, Rotation64
 from lambent_capture.loading.kept_pictures import Pictures, kept
 from lambent_capture.loading.light_turns import light_turn
 from lambent_capture.loading.lights import select_lights
@@ -149,11 +149,11 @@ def _load_view(
     folder: Path,
     frame: scene_pb2.Frame,
     max_side: int,
-    world: Float64[ndarray, "4 4"],
+    world: Pose64,
     *,
     cut_out: bool,
     store: Path | None,
-    turn: Float64[ndarray, "3 3"] | None,
+    turn: Rotation64 | None,
     upright: bool,
 ) -> View:
     def make() -> Pictures:
@@ -238,8 +238,8 @@ def _margins(camera: scene_pb2.Camera, box: Box, size: tuple[int, int]) -> Margi
 
 
 def _load_truth(
-    folder: Path, frame: scene_pb2.Frame, size: tuple[int, int], world: Float64[ndarray, "4 4"]
-) -> dict[str, Float32[ndarray, "height width channels"]]:
+    folder: Path, frame: scene_pb2.Frame, size: tuple[int, int], world: Pose64
+) -> dict[str, Channels32]:
     rotation, scale = rotation_and_scale(world)
     truth: dict[str, ndarray] = {}
     coverage = None

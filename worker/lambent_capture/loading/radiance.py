@@ -8,11 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Shaped
+from jaxtyping import Bool, Float32
 from lambent_core.errors import WorkerError
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
+from lambent_capture.arrays import Grey32, Levels
 from lambent_capture.pictures import coverage
 from lambent_capture.pictures.picture import Part, Picture
 from lambent_capture.pictures.picture_error import PictureError
@@ -20,14 +21,14 @@ from lambent_capture.pictures.pictures import read_levels, read_picture
 from lambent_capture.scenes.crop import Box
 
 
-def mask_coverage(folder: Path, frame: scene_pb2.Frame) -> Float32[ndarray, "height width"] | None:
+def mask_coverage(folder: Path, frame: scene_pb2.Frame) -> Grey32 | None:
     """Return the coverage in a frame's mask file, or None where it has none. Raises `WorkerError`."""
     with _naming(frame.mask):
         mask = coverage.frame_mask(folder, frame)
     return None if mask is None else mask.coverage
 
 
-def alphas(folder: Path, frame: scene_pb2.Frame) -> Iterator[Float32[ndarray, "height width"]]:
+def alphas(folder: Path, frame: scene_pb2.Frame) -> Iterator[Grey32]:
     """Yield the alpha of the photographs that have one, one at a time. Raises `WorkerError`."""
     for image in frame.images:
         with _naming(image.path):
@@ -37,11 +38,7 @@ def alphas(folder: Path, frame: scene_pb2.Frame) -> Iterator[Float32[ndarray, "h
 
 
 def linear_photograph(
-    folder: Path,
-    frame: scene_pb2.Frame,
-    image: scene_pb2.Image,
-    box: Box,
-    mask: Float32[ndarray, "height width"] | None,
+    folder: Path, frame: scene_pb2.Frame, image: scene_pb2.Image, box: Box, mask: Grey32 | None
 ) -> tuple[Float32[ndarray, "rows columns 4"], Bool[ndarray, "rows columns 3"] | None]:
     """Return the part `box` of a photograph in the exposure of the first frame; only it becomes float.
 
@@ -67,7 +64,7 @@ def linear_photograph(
     return rgba, _clipped(picture, part, rgba[..., 3:])
 
 
-def stored_levels(folder: Path, path: str) -> Shaped[ndarray, "height width channels"]:
+def stored_levels(folder: Path, path: str) -> Levels:
     """Return the numbers in a file of the capture as `read_levels` does; raises `WorkerError` naming it."""
     with _naming(path):
         return read_levels(folder / path)

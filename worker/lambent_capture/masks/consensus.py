@@ -11,15 +11,16 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int, Int8, Int32, UInt8
+from jaxtyping import Float, Int32
 from numpy import ndarray
 from PIL import Image
 from scipy import ndimage
 
-from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.arrays import Bins, Cells, Grey, Marks, Rgb, Vector
 from lambent_capture.masks import evidence
 from lambent_capture.masks.lattice import SCENE, Frame, Lattice, main_parts
 from lambent_capture.pictures.resample import reduced_size
+from lambent_capture.scenes.picture_camera import PictureCamera
 
 _AS_LIKELY = 0.25
 """How much smaller the sum of a cell may be than the best behind a marked pixel for it to be solid, too; log
@@ -76,7 +77,7 @@ class MaskView:
     """A picture and the camera that took it, in its pixels."""
 
     name: str
-    image_srgb: UInt8[ndarray, "height width 3"]
+    image_srgb: Rgb
     camera: PictureCamera
 
     def averaged(self, side: int) -> "MaskView":
@@ -98,16 +99,16 @@ class Given:
     """Knowledge from before the views are compared: evidence of other kinds, and where an object can be."""
 
     frame: Frame
-    low: Float[ndarray, "3"]
-    high: Float[ndarray, "3"]
+    low: Vector
+    high: Vector
     """The box that is searched, in coordinates of `frame`: above the support, for instance."""
-    focus: Float[ndarray, "3"] | None = None
+    focus: Vector | None = None
     """Where in this box the object is; what stands apart from it and further away is not the object."""
-    odds: Sequence[Float[ndarray, "height width"]] = ()
+    odds: Sequence[Grey] = ()
     """Added to what colours say in each view, log odds at the size of its picture."""
     known: evidence.Known = evidence.NOTHING_KNOWN
     """For the learning of colours. What a person marked outvotes all views, too."""
-    beliefs: Sequence[Float[ndarray, "height width"]] | None = None
+    beliefs: Sequence[Grey] | None = None
     """Probability of the object at first, 0..1; None for a ball around what the cameras look at."""
 
 
@@ -115,26 +116,26 @@ class Given:
 class Prepared:
     """What is computed of each picture once, for any number of agreements."""
 
-    lightness: list[Float[ndarray, "height width"]]
+    lightness: list[Grey]
     """0..1."""
-    colours: list[Int[ndarray, "height width"]]
+    colours: list[Bins]
     """Cells of the colour table."""
-    distances: list[Int[ndarray, "height width"]] | None
+    distances: list[Bins] | None
     """Cells of the table of distances from the border; None where they are not used."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Agreement:
+class Consensus:
     """What the views agree on."""
 
-    beliefs: list[Float[ndarray, "height width"]]
+    beliefs: list[Grey]
     """Probability that a pixel shows the object."""
-    priors: list[Float[ndarray, "height width"]]
+    priors: list[Grey]
     """What the other views say about a pixel, through the cells behind it; log odds."""
     lattice: Lattice
-    votes: Float[ndarray, " cells"]
+    votes: Cells
     """Sum of the views' votes for each cell, log odds; the object is where it is positive."""
-    unmarked: list[Float[ndarray, "height width"]]
+    unmarked: list[Grey]
     """What `priors` were without marks, everything else the same; empty where there are no marks."""
 
 
@@ -148,13 +149,13 @@ class _Grid:
 
 def agree(
     views: Sequence[MaskView],
-    centre: Float[ndarray, "3"],
+    centre: Vector,
     distance: float,
     leaning: Leaning,
     settings: ConsensusSettings,
     given: Given | None = None,
     prepared: Prepared | None = None,
-) -> Agreement | None:
+) -> Consensus | None:
     """Return for each view where the object is, or None where no object is left.
 
     `centre` is the point the cameras look at, `distance` how far they are from it, both in scene units.
@@ -202,7 +203,7 @@ def agree(
         # The last round once more without marks: the difference is what they have changed in other views.
         every = _with_what_stands_below(np.sum(free, axis=0), grid, settings)
         unmarked = [_prior(grid, every - own, v, middle, leaning, settings) for v, own in enumerate(free)]
-    return Agreement(
+    return Consensus(
         beliefs=list(beliefs), priors=priors, lattice=grid.lattice, votes=total, unmarked=unmarked
     )
 
@@ -217,9 +218,7 @@ def prepare(views: Sequence[MaskView], *, edges: bool) -> Prepared:
     )
 
 
-def _odds(
-    seen: Prepared, beliefs: Sequence[ndarray], leaning: Leaning, given: Given
-) -> list[Float[ndarray, "height width"]]:
+def _odds(seen: Prepared, beliefs: Sequence[ndarray], leaning: Leaning, given: Given) -> list[Grey]:
     """Return what each view says by itself, smoothed along its edges, log odds."""
     odds = [leaning.colour * each for each in evidence.colour_odds(seen.colours, beliefs, given.known)]
     if seen.distances is not None and leaning.distance > 0.0:
@@ -232,9 +231,7 @@ def _odds(
     ]
 
 
-def _ball(
-    camera: PictureCamera, centre: Float[ndarray, "3"], radius: float
-) -> Float[ndarray, "height width"]:
+def _ball(camera: PictureCamera, centre: Vector, radius: float) -> Grey:
     """Return the initial estimate: a ball around the point the cameras look at."""
     column, row, _ = camera.project(centre[None])
     pixels = max(radius * camera.pixels_per_unit(centre), 1.0)
@@ -242,7 +239,7 @@ def _ball(
     return 0.7 * np.exp(-0.5 * ((columns - column[0]) ** 2 + (rows - row[0]) ** 2) / pixels**2)
 
 
-def _without_border(belief: Float[ndarray, "height width"]) -> Float[ndarray, "height width"]:
+def _without_border(belief: Grey) -> Grey:
     cut = belief.copy()
     cut[:_BORDER] = cut[-_BORDER:] = 0.0
     cut[:, :_BORDER] = cut[:, -_BORDER:] = 0.0
@@ -253,9 +250,7 @@ def _sigmoid(odds: ndarray) -> ndarray:
     return 1.0 / (1.0 + np.exp(-np.clip(odds, -20.0, 20.0)))
 
 
-def _grid(
-    views: Sequence[MaskView], frame: Frame, low: Float[ndarray, "3"], high: Float[ndarray, "3"], cells: int
-) -> _Grid:
+def _grid(views: Sequence[MaskView], frame: Frame, low: Vector, high: Vector, cells: int) -> _Grid:
     lattice = Lattice.between(frame, low, high, cells)
     cameras = [view.camera for view in views]
     return _Grid(lattice, cameras, [lattice.pixels(camera) for camera in cameras])
@@ -275,9 +270,7 @@ def _closed_in(
     return _grid(views, given.frame, low, high, settings.cells)
 
 
-def _votes(
-    odds: Float[ndarray, "height width"], grid: _Grid, view: int, settings: ConsensusSettings
-) -> Float[ndarray, " points"]:
+def _votes(odds: Grey, grid: _Grid, view: int, settings: ConsensusSettings) -> Float[ndarray, " points"]:
     """Return a view's vote for each cell, log odds of object against empty space.
 
     An object's cell looks like the object but for one mistake in fifteen, an empty one in half of the views.
@@ -290,9 +283,7 @@ def _votes(
     return np.append(vote, settings.unseen).astype(np.float32)[grid.pixels[view]]
 
 
-def _with_what_stands_below(
-    total: Float[ndarray, " cells"], grid: _Grid, settings: ConsensusSettings
-) -> Float[ndarray, " cells"]:
+def _with_what_stands_below(total: Cells, grid: _Grid, settings: ConsensusSettings) -> Cells:
     """Return the votes with those for cells that have something of the object above them.
 
     The third axis of the lattice points away from the support.
@@ -306,19 +297,12 @@ def _with_what_stands_below(
     return np.where(covered, np.maximum(raised, cells), cells).ravel()
 
 
-def _without_marked(
-    votes: Float[ndarray, " cells"],
-    mark: Int8[ndarray, "height width"],
-    pixels: Int32[ndarray, " cells"],
-    num_views: int,
-) -> Float[ndarray, " cells"]:
+def _without_marked(votes: Cells, mark: Marks, pixels: Int32[ndarray, " cells"], num_views: int) -> Cells:
     """Return a view's votes with those of marked pixels: nothing is solid behind the background."""
     return np.where(np.append(mark.ravel(), 0)[pixels] < 0, -2.0 * num_views, votes)
 
 
-def _with_marked(
-    total: Float[ndarray, " cells"], marks: Mapping[int, Int8[ndarray, "height width"]], grid: _Grid
-) -> Float[ndarray, " cells"]:
+def _with_marked(total: Cells, marks: Mapping[int, Marks], grid: _Grid) -> Cells:
     """Return the sum of votes with something solid behind each pixel that was marked as the object.
 
     Which cell that is follows from the votes, and from the other views that were marked there: it is the one
@@ -341,9 +325,7 @@ def _with_marked(
     return result
 
 
-def _best_behind(
-    grid: _Grid, votes: Float[ndarray, " cells"], view: int, middle: Float[ndarray, "3"]
-) -> tuple[Float[ndarray, "height width"], int]:
+def _best_behind(grid: _Grid, votes: Cells, view: int, middle: Vector) -> tuple[Grey, int]:
     """Return the largest sum of votes behind each pixel, within reach of a cell's size, and that reach.
 
     Log odds, and pixels.
@@ -360,10 +342,10 @@ def _prior(
     grid: _Grid,
     votes: Float[ndarray, " points"],
     view: int,
-    middle: Float[ndarray, "3"],
+    middle: Vector,
     leaning: Leaning,
     settings: ConsensusSettings,
-) -> Float[ndarray, "height width"]:
+) -> Grey:
     """Return the evidence of the cells behind each pixel, log odds.
 
     Against the object where no cell is solid within reach of a cell's size; for it only further inside, since

@@ -25,6 +25,8 @@ from jaxtyping import Int8
 from lambent_core.errors import UsageError
 from numpy import ndarray
 
+from lambent_capture.arrays import Marks
+
 NAME = "corrections.json"
 VERSION = 1
 MOST_CORRECTIONS = 10_000
@@ -98,7 +100,7 @@ def parse_corrections(text: str, source: str) -> list[Correction]:
 
 def seeds_of(
     corrections: Sequence[Correction], frame: str, size: tuple[int, int], scale: tuple[float, float]
-) -> Int8[ndarray, "height width"] | None:
+) -> Marks | None:
     """Return what corrections say about the pixels of one frame: 1 object, -1 background, 0 nothing.
 
     `size` is the picture's width and height, `scale` what coordinates of the photograph are multiplied by to
@@ -121,9 +123,7 @@ def seeds_of(
     return seeds
 
 
-def reduced_seeds(
-    seeds: Int8[ndarray, "height width"], size: tuple[int, int]
-) -> Int8[ndarray, "rows columns"]:
+def reduced_seeds(seeds: Marks, size: tuple[int, int]) -> Int8[ndarray, "rows columns"]:
     """Return seeds for a smaller picture of `size` (width, height); thin strokes are kept."""
     mean = cv2.resize(seeds.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     return np.where(np.abs(mean) >= 0.25, np.sign(mean), 0.0).astype(np.int8)

@@ -5,8 +5,10 @@ Graph cut after Boykov and Jolly, Interactive graph cuts, ICCV 2001, by the solv
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 from numpy import ndarray
+
+from lambent_capture.arrays import Grey, Grey8, Region, Rgb
 
 LIMIT = 6.0
 """Log odds beyond which more evidence changes nothing."""
@@ -16,11 +18,7 @@ _MIDDLE = 128.0
 _REACH = LIMIT * _PER_ODD
 
 
-def cut_out(
-    image_srgb: UInt8[ndarray, "height width 3"],
-    odds: Float[ndarray, "height width"],
-    weight: float = 12.0,
-) -> Bool[ndarray, "height width"]:
+def cut_out(image_srgb: Rgb, odds: Grey, weight: float = 12.0) -> Region:
     """Return the pixels of the object, given the log odds of each (positive is object).
 
     `weight` is the cost of one unit of log odds, where an outline through an even area costs 50 for each
@@ -40,13 +38,11 @@ def cut_out(
     return np.asarray((mask == cv2.GC_FGD) | (mask == cv2.GC_PR_FGD))
 
 
-def _coded(odds: Float[ndarray, "height width"]) -> UInt8[ndarray, "height width"]:
+def _coded(odds: Grey) -> Grey8:
     return np.round(_MIDDLE + _PER_ODD * np.clip(odds, -LIMIT, LIMIT)).astype(np.uint8)
 
 
-def _contrast(
-    image_srgb: UInt8[ndarray, "height width 3"], odds: Float[ndarray, "height width"]
-) -> UInt8[ndarray, "height width 2"]:
+def _contrast(image_srgb: Rgb, odds: Grey) -> UInt8[ndarray, "height width 2"]:
     """Return lightness and the chroma that tells object and background apart most, where edges are sought."""
     lab = cv2.cvtColor(image_srgb, cv2.COLOR_RGB2LAB).astype(np.float32)
     inside = odds > 0.0

@@ -2,8 +2,10 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import UInt8
 from numpy import ndarray
+
+from lambent_capture.arrays import Colours32, Grey, Grey32, Reduced32, Region, Rgb
 
 _RADIUS = 3
 """Half the side of the window in which coverage is linear in colour, pixels of the cut."""
@@ -11,11 +13,7 @@ _EPSILON = 6.0e-4
 """Variance of colours (0..1 squared) below which an edge does not count."""
 
 
-def soft_coverage(
-    small_srgb: UInt8[ndarray, "height width 3"],
-    mask: Bool[ndarray, "height width"],
-    image_srgb: UInt8[ndarray, "rows columns 3"],
-) -> Float32[ndarray, "rows columns"]:
+def soft_coverage(small_srgb: Rgb, mask: Region, image_srgb: UInt8[ndarray, "rows columns 3"]) -> Reduced32:
     """Return how much of each pixel of `image_srgb` the object covers, 0..1.
 
     `mask` is the object in the same picture at the size of `small_srgb`. Around its outline coverage is a
@@ -37,9 +35,7 @@ def soft_coverage(
     return np.clip(np.clip(coverage, low, high), 0.0, 1.0)
 
 
-def _linear_model(
-    guide: Float32[ndarray, "height width 3"], values: Float[ndarray, "height width"]
-) -> tuple[Float32[ndarray, "height width 3"], Float32[ndarray, "height width"]]:
+def _linear_model(guide: Colours32, values: Grey) -> tuple[Colours32, Grey32]:
     """Return slope and offset of the values as a function of colour, averaged over all windows of a pixel."""
 
     def mean(each: ndarray) -> ndarray:

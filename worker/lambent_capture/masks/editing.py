@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool
-from numpy import ndarray
 from PIL import Image
 
+from lambent_capture.arrays import Region
 from lambent_capture.masks.corrections import Correction
 from lambent_capture.masks.estimate import EstimateSettings, consistency_of
 from lambent_capture.masks.final import preview_masks
@@ -50,7 +49,7 @@ class Editing:
         self.work = work
         self._photographs = {photograph.name: photograph for photograph in photographs}
         self._numbers = {name: number for number, name in enumerate(work.names)}
-        self._masks: list[Bool[ndarray, "height width"] | None] = [None] * len(work.names)
+        self._masks: list[Region | None] = [None] * len(work.names)
         self._asked = 0
         self._asking = threading.Lock()
         self._drawing = threading.Lock()
@@ -77,7 +76,7 @@ class Editing:
             self._keep(preview_masks(work, go_on=go_on))
         return self.last
 
-    def _keep(self, masks: list[Bool[ndarray, "height width"]]) -> None:
+    def _keep(self, masks: list[Region]) -> None:
         work = self.work
         views = [work.view(number) for number in range(len(work.names))]
         coverages = [mask.astype(np.float64) for mask in masks]

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from lambent_core.errors import SceneRefusedError
 from lambent_core.measured import measured, significant
-from numpy import ndarray
 from PIL import Image
 from scipy import ndimage
 
-from lambent_capture.checks.hull import Silhouette, carve, footprint, tolerated_views
+from lambent_capture.arrays import Grey, PerView, Reduced, Vector
+from lambent_capture.checks.hull import carve, footprint, tolerated_views
 from lambent_capture.masks.consensus import ConsensusSettings, Leaning, MaskView, agree
 from lambent_capture.masks.evidence import lab_of, separation
 from lambent_capture.masks.outline import refine_outline
@@ -23,6 +22,7 @@ from lambent_capture.pictures.picture import box_averaged
 from lambent_capture.pictures.resample import reduced_size
 from lambent_capture.problems import Problems
 from lambent_capture.scenes.extent import looked_at_point
+from lambent_capture.scenes.silhouettes import Silhouette
 
 LEANINGS = (
     # Colours and edges alike: right for most captures.
@@ -65,9 +65,9 @@ class EstimateSettings:
 class Consistency:
     """Agreement of the masks with each other; one value per view."""
 
-    overlap: Float[ndarray, " views"]
+    overlap: PerView
     """Intersection over union of the mask and the hull of the others."""
-    explained: Float[ndarray, " views"]
+    explained: PerView
     """Share of the mask that the hull of the others explains."""
 
 
@@ -75,9 +75,9 @@ class Consistency:
 class Estimate:
     """Masks with their reliability."""
 
-    coverages: list[Float[ndarray, "height width"]]
+    coverages: list[Grey]
     consistency: Consistency
-    separation: Float[ndarray, " views"]
+    separation: PerView
     """How well colours separate object and background, 0.5 to 1; see `evidence.separation`."""
 
 
@@ -122,8 +122,8 @@ def agreed_masks(views: Sequence[MaskView], settings: EstimateSettings) -> Estim
 
 
 def _most_consistent(
-    views: Sequence[MaskView], centre: Float[ndarray, "3"], distance: float, settings: EstimateSettings
-) -> list[Float[ndarray, "height width"]] | None:
+    views: Sequence[MaskView], centre: Vector, distance: float, settings: EstimateSettings
+) -> list[Grey] | None:
     """Return the beliefs of all leanings, mixed by how consistent each makes the views."""
     candidates, scores = [], []
     for leaning in LEANINGS:
@@ -148,9 +148,9 @@ def _most_consistent(
 
 
 def consistency_of(
-    coverages: Sequence[Float[ndarray, "height width"]],
+    coverages: Sequence[Grey],
     views: Sequence[MaskView],
-    centre: Float[ndarray, "3"],
+    centre: Vector,
     distance: float,
     settings: EstimateSettings,
 ) -> Consistency:
@@ -178,9 +178,7 @@ def consistency_of(
     return Consistency(overlap=np.array(overlap), explained=np.array(explained))
 
 
-def separation_of(
-    small: Sequence[MaskView], coverages: Sequence[Float[ndarray, "height width"]]
-) -> Float[ndarray, " views"]:
+def separation_of(small: Sequence[MaskView], coverages: Sequence[Grey]) -> PerView:
     """Return how well colours separate masks of any size from their background; see `evidence.separation`."""
     reduced = [
         box_averaged(coverage.astype(np.float32), (view.camera.width, view.camera.height))
@@ -218,9 +216,7 @@ def not_credible(reason: str, *, markable: bool = False) -> SceneRefusedError:
     return SceneRefusedError.of(problems.findings())
 
 
-def middle_of(
-    views: Sequence[MaskView] | Sequence[Photograph],
-) -> tuple[Float[ndarray, "3"], float] | str:
+def middle_of(views: Sequence[MaskView] | Sequence[Photograph]) -> tuple[Vector, float] | str:
     """Return the point the cameras look at and their distance from it, scene units; or why there is none."""
     positions = np.array([view.camera.position for view in views])
     centre = looked_at_point(positions, np.array([-view.camera.camera_to_world[:3, 2] for view in views]))
@@ -229,16 +225,14 @@ def middle_of(
     return centre, float(np.median(np.linalg.norm(positions - centre, axis=-1)))
 
 
-def _enlarged(
-    belief: Float[ndarray, "height width"], size: tuple[int, int]
-) -> Float[ndarray, "rows columns"]:
+def _enlarged(belief: Grey, size: tuple[int, int]) -> Reduced:
     if (belief.shape[1], belief.shape[0]) == size:
         return belief
     image = Image.fromarray(belief.astype(np.float32))
     return np.asarray(image.resize(size, Image.Resampling.BICUBIC), dtype=np.float64).clip(0.0, 1.0)
 
 
-def _clean(coverage: Float[ndarray, "height width"]) -> Float[ndarray, "height width"]:
+def _clean(coverage: Grey) -> Grey:
     """Return the coverage without islands and holes of less than a thousandth of the object."""
     mask = coverage >= 0.5
     limit = 1e-3 * mask.sum()

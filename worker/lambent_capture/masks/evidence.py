@@ -8,11 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, Int, Int8, UInt8
+from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy import ndimage
 from skimage.color import rgb2lab
 from skimage.graph import MCP_Geometric
+
+from lambent_capture.arrays import Bins, Cells, Grey, Marks, PerView, Rgb
 
 _CELLS = (26, 40, 40)
 """Cells of a colour table along L, a and b of CIELAB; a cell is four units wide."""
@@ -35,7 +37,7 @@ MAX_COLOUR = 4.0
 """Limit of what a colour alone may say, log odds."""
 
 
-def lab_of(image_srgb: UInt8[ndarray, "height width 3"]) -> Float[ndarray, "height width 3"]:
+def lab_of(image_srgb: Rgb) -> Float[ndarray, "height width 3"]:
     """Return the CIELAB values of a picture; steps of one are just visible."""
     return rgb2lab(image_srgb)
 
@@ -47,7 +49,7 @@ def colour_cells(lab: Float[ndarray, "*shape 3"]) -> Int[ndarray, "*shape"]:
     return np.ravel_multi_index(tuple(np.moveaxis(np.clip(cells, low, high), -1, 0)), _CELLS)
 
 
-def border_distance(lab: Float[ndarray, "height width 3"]) -> Float[ndarray, "height width"]:
+def border_distance(lab: Float[ndarray, "height width 3"]) -> Grey:
     """Return the strength-weighted number of edges between each pixel and the picture's border.
 
     That is log(1 + cost) of the cheapest path that leaves the picture, a path's cost being the gradient along
@@ -64,14 +66,12 @@ def border_distance(lab: Float[ndarray, "height width 3"]) -> Float[ndarray, "he
     return np.log1p(reached)
 
 
-def distance_cells(distance: Float[ndarray, "height width"]) -> Int[ndarray, "height width"]:
+def distance_cells(distance: Grey) -> Bins:
     """Return the cell of the distance table that each pixel falls into."""
     return np.clip((distance * _DISTANCE_SCALE).astype(np.int64), 0, _DISTANCES - 1)
 
 
-def colour_table(
-    cells: Int[ndarray, " pixels"], weights: Float[ndarray, " pixels"]
-) -> Float[ndarray, " cells"]:
+def colour_table(cells: Int[ndarray, " pixels"], weights: Float[ndarray, " pixels"]) -> Cells:
     """Return the density of colours over the cells, neighbours mixed."""
     counts = np.bincount(cells, weights, int(np.prod(_CELLS))).reshape(_CELLS)
     smooth = ndimage.gaussian_filter(counts, 0.9)
@@ -82,12 +82,12 @@ def colour_table(
 class Known:
     """What is known of pixels before colours are learnt, for each view."""
 
-    learnt: Sequence[Float[ndarray, "height width"]] | None = None
+    learnt: Sequence[Grey] | None = None
     """How much each pixel counts, 0..1; all of them where it is None."""
-    beyond: Sequence[Float[ndarray, "height width"]] | None = None
+    beyond: Sequence[Grey] | None = None
     """1 where something else than the support is behind the object, 0 where it is the support. The two have
     colours of their own."""
-    marks: Mapping[int, Int8[ndarray, "height width"]] = field(default_factory=dict)
+    marks: Mapping[int, Marks] = field(default_factory=dict)
     """Pixels of some views that a person marked, 1 object and -1 background. Their colours make up a fixed
     share of those of object and backgrounds in all views."""
 
@@ -99,17 +99,12 @@ NOTHING_KNOWN = Known()
 class ColourModel:
     """Densities of colours over the cells of the table."""
 
-    objects: Float[ndarray, " cells"]
+    objects: Cells
     """Of the object, in all views."""
-    backgrounds: list[tuple[Float[ndarray, " cells"], Float[ndarray, " cells"]]]
+    backgrounds: list[tuple[Cells, Cells]]
     """Of what is behind it in each view: of the support, and of what is beyond."""
 
-    def odds(
-        self,
-        view: int,
-        cells: Int[ndarray, "height width"],
-        beyond: Float[ndarray, "height width"] | None = None,
-    ) -> Float[ndarray, "height width"]:
+    def odds(self, view: int, cells: Bins, beyond: Grey | None = None) -> Grey:
         """Return the log odds of object against background that the colours of a view give."""
         near, far = (
             np.clip(np.log(self.objects / table), -MAX_COLOUR, MAX_COLOUR)[cells]
@@ -119,10 +114,8 @@ class ColourModel:
 
 
 def colour_odds(
-    cells: Sequence[Int[ndarray, "height width"]],
-    foreground: Sequence[Float[ndarray, "height width"]],
-    known: Known = NOTHING_KNOWN,
-) -> list[Float[ndarray, "height width"]]:
+    cells: Sequence[Bins], foreground: Sequence[Grey], known: Known = NOTHING_KNOWN
+) -> list[Grey]:
     """Return the log odds of object against background that the colours of each view give.
 
     `foreground` is the belief so far. All views share the colours of the object; each has a background
@@ -136,9 +129,7 @@ def colour_odds(
 
 
 def learn_colours(
-    cells: Sequence[Int[ndarray, "height width"]],
-    foreground: Sequence[Float[ndarray, "height width"]],
-    known: Known = NOTHING_KNOWN,
+    cells: Sequence[Bins], foreground: Sequence[Grey], known: Known = NOTHING_KNOWN
 ) -> ColourModel:
     """Return the colours of object and backgrounds; see `colour_odds`."""
     every_cell = np.concatenate([each.ravel() for each in cells])
@@ -165,11 +156,8 @@ def learn_colours(
 
 
 def _background_tables(
-    cells: Sequence[Int[ndarray, "height width"]],
-    weights: Sequence[Float[ndarray, "height width"]],
-    known: Known,
-    everywhere: Sequence[Float[ndarray, "height width"]] | None = None,
-) -> list[Float[ndarray, " cells"]]:
+    cells: Sequence[Bins], weights: Sequence[Grey], known: Known, everywhere: Sequence[Grey] | None = None
+) -> list[Cells]:
     """Return each view's colours of the background, from `everywhere` where `weights` are hardly any."""
     shared = colour_table(
         np.concatenate([each.ravel() for each in cells]), np.concatenate([each.ravel() for each in weights])
@@ -184,12 +172,7 @@ def _background_tables(
     return tables
 
 
-def _with_marked(
-    table: Float[ndarray, " cells"],
-    cells: Sequence[Int[ndarray, "height width"]],
-    marks: Mapping[int, Int8[ndarray, "height width"]],
-    label: int,
-) -> Float[ndarray, " cells"]:
+def _with_marked(table: Cells, cells: Sequence[Bins], marks: Mapping[int, Marks], label: int) -> Cells:
     pixels = [cells[number][mark == label] for number, mark in marks.items()]
     if not pixels or not sum(len(each) for each in pixels):
         return table
@@ -197,9 +180,7 @@ def _with_marked(
     return (1.0 - _MARKED) * table + _MARKED * colour_table(marked, np.ones(len(marked)))
 
 
-def distance_odds(
-    cells: Sequence[Int[ndarray, "height width"]], foreground: Sequence[Float[ndarray, "height width"]]
-) -> list[Float[ndarray, "height width"]]:
+def distance_odds(cells: Sequence[Bins], foreground: Sequence[Grey]) -> list[Grey]:
     """Return the log odds that the distances from the border give; one table for all views.
 
     Where backgrounds are full of edges the two distributions are alike, and the odds are near zero by
@@ -216,9 +197,7 @@ def distance_odds(
     return [odds[each] for each in cells]
 
 
-def separation(
-    labs: Sequence[Float[ndarray, "height width 3"]], coverages: Sequence[Float[ndarray, "height width"]]
-) -> Float[ndarray, " views"]:
+def separation(labs: Sequence[Float[ndarray, "height width 3"]], coverages: Sequence[Grey]) -> PerView:
     """Return how well the colours of other views' masks separate object and background in each view.
 
     That is the chance that a pixel inside of the view's mask has a colour that is more of the object's than
@@ -251,12 +230,7 @@ def _chance_greater(first: Float[ndarray, " first"], second: Float[ndarray, " se
     return float((ranks.mean() - 0.5 * (len(first) + 1)) / len(second))
 
 
-def guided_smooth(
-    guide: Float[ndarray, "height width"],
-    values: Float[ndarray, "height width"],
-    radius: int = 2,
-    epsilon: float = 1e-3,
-) -> Float[ndarray, "height width"]:
+def guided_smooth(guide: Grey, values: Grey, radius: int = 2, epsilon: float = 1e-3) -> Grey:
     """Return the values smoothed along, not across, the edges of `guide` (values 0..1).
 
     Source: He, Sun, Tang: Guided image filtering, ECCV 2010, Eq. 5 and 6.

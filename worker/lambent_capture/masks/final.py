@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Float
 from numpy import ndarray
 from scipy import ndimage
 
+from lambent_capture.arrays import Grey8, Grey32, Reduced, Region, Rgb
 from lambent_capture.masks import evidence
 from lambent_capture.masks.corrections import reduced_seeds
 from lambent_capture.masks.cut import LIMIT, cut_out
@@ -58,7 +59,7 @@ def final_mask(
     work: Workspace,
     colours: evidence.ColourModel,
     settings: FinalSettings,
-) -> UInt8[ndarray, "height width"]:
+) -> Grey8:
     """Return the mask of a photograph in its own pixels, 0 background to 255 object."""
     camera = photograph.camera
     full = np.zeros((camera.height, camera.width), dtype=np.uint8)
@@ -87,7 +88,7 @@ def final_mask(
 
 def preview_mask(
     number: int, work: Workspace, colours: evidence.ColourModel, settings: FinalSettings
-) -> Bool[ndarray, "height width"]:
+) -> Region:
     """Return the mask of a view at the size of the evidence, without soft edges."""
     picture = work.pictures[number]
     mask = np.zeros(picture.shape[:2], dtype=bool)
@@ -104,11 +105,11 @@ def preview_mask(
 
 def preview_masks(
     work: Workspace, settings: FinalSettings | None = None, go_on: Callable[[], None] = lambda: None
-) -> list[Bool[ndarray, "height width"]]:
+) -> list[Region]:
     """Return `preview_mask` of all views, computed in two threads; what `go_on` raises stops the work."""
     colours, chosen = colours_of(work), settings or FinalSettings()
 
-    def draw(number: int) -> Bool[ndarray, "height width"]:
+    def draw(number: int) -> Region:
         go_on()
         return preview_mask(number, work, colours, chosen)
 
@@ -116,9 +117,7 @@ def preview_masks(
         return list(pool.map(draw, range(len(work.names))))
 
 
-def _box(
-    belief: Float[ndarray, "rows columns"], margin: float
-) -> tuple[Float[ndarray, "2"], Float[ndarray, "2"]] | None:
+def _box(belief: Reduced, margin: float) -> tuple[Float[ndarray, "2"], Float[ndarray, "2"]] | None:
     """Return the corners of the box around the object as shares of the picture, with a margin."""
     shown = belief > 0.3
     if not shown.any():
@@ -134,10 +133,10 @@ def _odds(
     work: Workspace,
     number: int,
     colours: evidence.ColourModel,
-    crop: UInt8[ndarray, "height width 3"],
+    crop: Rgb,
     part: tuple[Float[ndarray, "2"], Float[ndarray, "2"]],
     settings: FinalSettings,
-) -> Float32[ndarray, "height width"]:
+) -> Grey32:
     size = (crop.shape[1], crop.shape[0])
     hull = _part(work.priors[number], part, size)
     odds = settings.hull * hull
@@ -156,10 +155,8 @@ def _odds(
 
 
 def _part(
-    values: Float[ndarray, "rows columns"],
-    part: tuple[Float[ndarray, "2"], Float[ndarray, "2"]],
-    size: tuple[int, int],
-) -> Float32[ndarray, "height width"]:
+    values: Reduced, part: tuple[Float[ndarray, "2"], Float[ndarray, "2"]], size: tuple[int, int]
+) -> Grey32:
     """Return a part of a picture, corners as shares of it, enlarged to `size`."""
     rows, columns = values.shape
     low, high = part
@@ -171,7 +168,7 @@ def _part(
     )
 
 
-def _tidy(mask: Bool[ndarray, "height width"], settings: FinalSettings) -> Bool[ndarray, "height width"]:
+def _tidy(mask: Region, settings: FinalSettings) -> Region:
     """Return the mask without small parts and small holes."""
     labels, number = ndimage.label(mask)
     if not number:

@@ -9,9 +9,8 @@ from functools import partial
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32
-from numpy import ndarray
 
+from lambent_capture.arrays import Region, Texels32, Vector
 from lambent_capture.masks.consensus import ConsensusSettings, MaskView
 from lambent_capture.masks.estimate import EstimateSettings, agreed_masks, consistency_of, middle_of
 from lambent_capture.masks.final import preview_masks
@@ -128,11 +127,11 @@ def _support(
     plane: SupportPlane,
     views: Sequence[MaskView],
     points: SparsePoints,
-    centre: Float[ndarray, "3"],
+    centre: Vector,
     distance: float,
     settings: FindSettings,
     progress: Progress,
-) -> tuple[SupportViews, Float32[ndarray, "cells cells"]]:
+) -> tuple[SupportViews, Texels32]:
     plane = best_height(plane, views, distance)
     grid = ortho_grid(plane, views, distance, settings.support)
     footprint = first_footprint(grid, points.xyz, distance, settings.support)
@@ -143,12 +142,12 @@ def _support(
 class _Start:
     photographs: Sequence[Photograph]
     support: SupportViews
-    footprint: Float32[ndarray, "cells cells"]
-    centre: Float[ndarray, "3"]
+    footprint: Texels32
+    centre: Vector
     distance: float
     side: int
     """At which views are compared, pixels."""
-    moved: list[Bool[ndarray, "height width"]] | None = None
+    moved: list[Region] | None = None
     """Where each photograph shows something that moved before a camera that stood still."""
 
 
@@ -185,7 +184,7 @@ def _above(start: _Start, chosen: SupportSettings) -> Workspace | None:
 def _by_agreement(
     photographs: Sequence[Photograph],
     views: Sequence[MaskView],
-    centre: Float[ndarray, "3"],
+    centre: Vector,
     distance: float,
     settings: FindSettings,
 ) -> Workspace:
@@ -217,7 +216,7 @@ def _by_agreement(
     )
 
 
-def _moved(views: Sequence[MaskView]) -> list[Bool[ndarray, "height width"]] | None:
+def _moved(views: Sequence[MaskView]) -> list[Region] | None:
     """Return where views of a camera that stood still may show what turned, or None if nothing tells.
 
     That is the convex hull of all that ever changed: a part that has the same colour from all sides changes

@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
 from lambent_core.errors import WorkerError
 from lambent_proto.v1 import scene_pb2
-from numpy import ndarray
 from PIL import Image, ImageDraw
 
+from lambent_capture.arrays import Grey, Grey8, PerView
 from lambent_capture.checks.observe import outlined_picture
 from lambent_capture.masks.consensus import MaskView
 from lambent_capture.masks.corrections import Correction
@@ -140,11 +139,8 @@ def draw_masks(
 
 
 def judged(
-    work: Workspace,
-    coverages: Sequence[Float[ndarray, "height width"]],
-    compared: Sequence[MaskView],
-    settings: EstimateSettings,
-) -> tuple[Float[ndarray, " views"], str]:
+    work: Workspace, coverages: Sequence[Grey], compared: Sequence[MaskView], settings: EstimateSettings
+) -> tuple[PerView, str]:
     """Return how well each mask agrees with the others, 0..1, and why not to trust them, or "".
 
     `compared` are the views at the size at which colours inside and outside are compared. Marks of a person
@@ -169,11 +165,11 @@ class MaskWriter:
 
     def __init__(self, out: Path, photographs: Sequence[Photograph]) -> None:
         self._out, self._photographs = out, photographs
-        self.coverages: list[Float[ndarray, "height width"]] = []
+        self.coverages: list[Grey] = []
         """0..1, longer side at most `_REMEMBERED_SIDE` pixels."""
         (out / MASKS).mkdir(parents=True, exist_ok=True)
 
-    def write(self, number: int, mask: UInt8[ndarray, "height width"]) -> None:
+    def write(self, number: int, mask: Grey8) -> None:
         """Write the mask of photograph `number`, 0 to 255 in its pixels; photographs come in order."""
         photograph = self._photographs[number]
         write_mask(self._out / MASKS / f"{photograph.name}.png", mask, compress_level=3)
@@ -181,7 +177,7 @@ class MaskWriter:
         coverage = box_averaged(mask.astype(np.float32) / np.float32(255.0), size)
         self.coverages.append(coverage.astype(np.float64))
 
-    def finish(self, overlap: Float[ndarray, " views"], reason: str) -> WrittenMasks:
+    def finish(self, overlap: PerView, reason: str) -> WrittenMasks:
         """Write the thumbnails and return what was written."""
         sheet = self._out / SHEET
         views = [photograph.reduced(_THUMBNAIL_SIDE) for photograph in self._photographs]
@@ -214,9 +210,7 @@ def _by_segmenter(
     return writer.finish(np.ones(len(views)), "")
 
 
-def contact_sheet(
-    views: Sequence[MaskView], coverages: Sequence[Float[ndarray, "height width"]], reason: str = ""
-) -> Image.Image:
+def contact_sheet(views: Sequence[MaskView], coverages: Sequence[Grey], reason: str = "") -> Image.Image:
     """Return all pictures, small and upright, with the background dimmed, outlines and the frames' names.
 
     `reason` says at the top why the masks are not credible.
@@ -244,7 +238,7 @@ def contact_sheet(
     return sheet
 
 
-def _require_sizes(views: Sequence[MaskView], coverages: Sequence[Float[ndarray, "height width"]]) -> None:
+def _require_sizes(views: Sequence[MaskView], coverages: Sequence[Grey]) -> None:
     if len(coverages) != len(views):
         raise WorkerError(
             "scene.mask_file_missing",

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float32
 from numpy import ndarray
 
+from lambent_capture.arrays import Cells, Reduced, Texels32
 from lambent_capture.masks.evidence import TABLE_VOLUME, colour_cells
 from lambent_capture.masks.orthophoto import (
     Orthophoto,
@@ -48,8 +49,8 @@ class UncoverSettings:
 def uncovered(
     support: SupportViews,
     ortho: Orthophoto,
-    beliefs: Sequence[Float[ndarray, "rows columns"]],
-    objects: Float[ndarray, " cells"],
+    beliefs: Sequence[Reduced],
+    objects: Cells,
     distance: float,
     settings: UncoverSettings | None = None,
 ) -> Orthophoto:
@@ -119,7 +120,7 @@ def _alike(
 def _surroundings(
     lab: Float32[ndarray, "cells cells 3"],
     spread: Float32[ndarray, "cells cells 2"],
-    known: Float32[ndarray, "cells cells"],
+    known: Texels32,
     sigma: float,
 ) -> tuple[ndarray, ndarray, ndarray]:
     """Return how much is known around each texel, its mean colour and mean spread."""

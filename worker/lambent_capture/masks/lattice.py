@@ -7,18 +7,19 @@ from jaxtyping import Bool, Float64, Int32
 from numpy import ndarray
 from scipy import ndimage
 
-from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.arrays import Points64, Rotation64, Vector64
+from lambent_capture.scenes.picture_camera import PictureCamera
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Frame:
     """Coordinates in which boxes are upright."""
 
-    origin: Float64[ndarray, "3"]
-    axes: Float64[ndarray, "3 3"]
+    origin: Vector64
+    axes: Rotation64
     """Rows: unit vectors."""
 
-    def world(self, local: Float64[ndarray, "points 3"]) -> Float64[ndarray, "points 3"]:
+    def world(self, local: Points64) -> Points64:
         """Return points in scene coordinates."""
         return self.origin + local @ self.axes
 
@@ -32,16 +33,14 @@ class Lattice:
     """Cells in the order of an array of `shape`."""
 
     frame: Frame
-    low: Float64[ndarray, "3"]
+    low: Vector64
     """Lower corner of the box in coordinates of `frame`."""
     spacing: float
     """Side of a cell, scene units."""
     shape: tuple[int, int, int]
 
     @classmethod
-    def between(
-        cls, frame: Frame, low: Float64[ndarray, "3"], high: Float64[ndarray, "3"], cells: int
-    ) -> "Lattice":
+    def between(cls, frame: Frame, low: Vector64, high: Vector64, cells: int) -> "Lattice":
         """Return the lattice with `cells` cells along the longest side of the box."""
         spacing = float((high - low).max()) / cells
         counts = np.maximum(np.ceil((high - low) / spacing - 1e-6).astype(int), 1)
@@ -86,7 +85,7 @@ class Lattice:
 
 
 def main_parts(
-    solid: Bool[ndarray, " cells"], lattice: Lattice, focus: Float64[ndarray, "3"], distance: float
+    solid: Bool[ndarray, " cells"], lattice: Lattice, focus: Vector64, distance: float
 ) -> Bool[ndarray, " cells"]:
     """Return the connected parts of `solid` that are large and near `focus` (in the lattice's frame).
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 from numpy import ndarray
 
+from lambent_capture.arrays import Colours32, Grey8, Grey32, Region, Rgb
 from lambent_capture.masks.photograph import Progress
 from lambent_capture.pictures.mask_levels import write_mask
 from lambent_capture.pictures.pictures import picture_size, read_picture
@@ -54,9 +55,7 @@ GROWN = 0.012
 class Motion:
     """What photographs of one camera show of a standing background and of what moves before it."""
 
-    background: UInt8[ndarray, "height width 3"]
-    """The scene without the object where it was ever seen; sRGB."""
-    masks: tuple[Bool[ndarray, "height width"], ...]
+    masks: tuple[Region, ...]
     """The object in each photograph, a little generous."""
     standing_share: float
     """Share of the picture that stands still, 0..1."""
@@ -70,7 +69,7 @@ class Motion:
         return moving and self.standing_share >= LEAST_STANDING and self.edge_share >= LEAST_EDGES
 
 
-def find_motion(pictures: Sequence[UInt8[ndarray, "height width 3"]]) -> Motion | None:
+def find_motion(pictures: Sequence[Rgb]) -> Motion | None:
     """Return what moves in photographs of equal size, sRGB; None for too few, or where nothing stands still.
 
     Pixels are compared as logarithms, after each photograph has been brought to the exposure and white
@@ -90,7 +89,6 @@ def find_motion(pictures: Sequence[UInt8[ndarray, "height width 3"]]) -> Motion 
     masks = _cleaned(differs | always)
     standing = (support >= STANDING) & ~(np.mean(masks, axis=0) > 0.5)
     motion = Motion(
-        background=_encoded(background),
         masks=tuple(masks),
         standing_share=float(standing.mean()),
         edge_share=float((standing & _edges(background)).mean()),
@@ -136,11 +134,7 @@ def _even(logs: Float32[ndarray, "n height width 3"]) -> Float32[ndarray, "n hei
     return logs.astype(np.float32)
 
 
-def _background(
-    logs: Float32[ndarray, "n height width 3"],
-) -> tuple[
-    Float32[ndarray, "height width 3"], Float32[ndarray, "height width"], Float32[ndarray, "height width"]
-]:
+def _background(logs: Float32[ndarray, "n height width 3"]) -> tuple[Colours32, Grey32, Grey32]:
     """Return the value that most photographs agree on, their share, and the noise around it, per pixel."""
     logs = logs[:: -(-len(logs) // MOST_VOTERS)]
     count = len(logs)
@@ -167,7 +161,7 @@ def _is_shadow(change: Float32[ndarray, "n height width 3"]) -> Bool[ndarray, "n
     return (level > np.log(SHADOW[0])) & (level < np.log(SHADOW[1])) & (tint < SHADOW_TINT)
 
 
-def _cleaned(raw: Bool[ndarray, "n height width"]) -> list[Bool[ndarray, "height width"]]:
+def _cleaned(raw: Bool[ndarray, "n height width"]) -> list[Region]:
     """Return masks without holes and specks, closed and widened."""
     side = max(raw.shape[1:])
     closing = _disc(max(1, round(0.01 * side)))
@@ -186,13 +180,13 @@ def _cleaned(raw: Bool[ndarray, "n height width"]) -> list[Bool[ndarray, "height
     return masks
 
 
-def _filled(mask: UInt8[ndarray, "height width"]) -> UInt8[ndarray, "height width"]:
+def _filled(mask: Grey8) -> Grey8:
     """Return the mask with what it encloses."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     return np.asarray(cv2.drawContours(np.zeros_like(mask), contours, -1, 1, cv2.FILLED))
 
 
-def _edges(logs: Float32[ndarray, "height width 3"]) -> Bool[ndarray, "height width"]:
+def _edges(logs: Colours32) -> Region:
     across, down = np.abs(np.diff(logs, axis=1)).max(axis=-1), np.abs(np.diff(logs, axis=0)).max(axis=-1)
     edges = np.zeros(logs.shape[:2], bool)
     edges[:, :-1] |= across > EDGE
@@ -203,7 +197,3 @@ def _edges(logs: Float32[ndarray, "height width 3"]) -> Bool[ndarray, "height wi
 def _disc(radius: int) -> UInt8[ndarray, "side side"]:
     size = 2 * radius + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
-
-
-def _encoded(logs: Float32[ndarray, "height width 3"]) -> UInt8[ndarray, "height width 3"]:
-    return np.round(255.0 * np.clip(np.exp(logs) - DARK, 0.0, 1.0)).astype(np.uint8)

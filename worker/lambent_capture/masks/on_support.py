@@ -5,11 +5,12 @@ from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool
 from numpy import ndarray
 
+from lambent_capture.arrays import Cells, Grey32, Points, Reduced, Region, Texels32, Vector
 from lambent_capture.masks.consensus import (
-    Agreement,
+    Consensus,
     ConsensusSettings,
     Given,
     Leaning,
@@ -85,8 +86,8 @@ class SupportSettings:
 class OnSupport:
     """An object on a support."""
 
-    agreement: Agreement
-    odds: list[Float32[ndarray, "height width"]]
+    agreement: Consensus
+    odds: list[Grey32]
     """Log odds that a pixel does not show the support, at the size of the evidence."""
     given: Given
     """What the last agreement started from."""
@@ -95,11 +96,11 @@ class OnSupport:
 def find_on_support(
     small: Sequence[MaskView],
     support: SupportViews,
-    footprint: Float32[ndarray, "cells cells"],
-    centre: Float[ndarray, "3"],
+    footprint: Texels32,
+    centre: Vector,
     distance: float,
     settings: SupportSettings,
-    moved: Sequence[Bool[ndarray, "height width"]] | None = None,
+    moved: Sequence[Region] | None = None,
 ) -> OnSupport | None:
     """Return the object that stands on the support, or None where the views agree on none.
 
@@ -130,10 +131,10 @@ def _orthophoto(
     support: SupportViews,
     seen: Prepared,
     last: OnSupport | None,
-    footprint: Float32[ndarray, "cells cells"],
+    footprint: Texels32,
     distance: float,
     settings: SupportSettings,
-) -> tuple[Orthophoto, Float[ndarray, " cells"] | None]:
+) -> tuple[Orthophoto, Cells | None]:
     """Return the support as the turn before leaves it visible, and the table of the object's colours."""
     if last is None:
         ortho = build(support, None)
@@ -150,10 +151,10 @@ def _orthophoto(
 def _unlike_support(
     support: SupportViews,
     ortho: Orthophoto,
-    objects: Float[ndarray, " cells"] | None,
-    moved: Sequence[Bool[ndarray, "height width"]] | None,
+    objects: Cells | None,
+    moved: Sequence[Region] | None,
     settings: SupportSettings,
-) -> list[Float32[ndarray, "height width"]]:
+) -> list[Grey32]:
     """Return the log odds of each view against the support; what did not `move` is never the object."""
     odds = [support_odds(support, ortho, i, objects, settings.prediction) for i in range(len(support.views))]
     if moved is None:
@@ -173,9 +174,7 @@ def ortho_grid(
     return OrthoGrid(plane=plane, half=half, cells=cells)
 
 
-def first_footprint(
-    grid: OrthoGrid, points: Float[ndarray, "points 3"], distance: float, settings: SupportSettings
-) -> Float32[ndarray, "cells cells"]:
+def first_footprint(grid: OrthoGrid, points: Points, distance: float, settings: SupportSettings) -> Texels32:
     """Return where the object seems to stand, 1 there: below the sparse points above the support."""
     local = grid.plane.local(points)
     radius = np.hypot(local[:, 0], local[:, 1])
@@ -194,7 +193,7 @@ def first_footprint(
     return mask.astype(np.float32)
 
 
-def _below(grid: OrthoGrid, agreement: Agreement) -> Bool[ndarray, "cells cells"]:
+def _below(grid: OrthoGrid, agreement: Consensus) -> Bool[ndarray, "cells cells"]:
     """Return the texels of the support that are straight below the object."""
     lattice = agreement.lattice
     solid = (agreement.votes > 0.0).reshape(lattice.shape).any(axis=2)
@@ -210,7 +209,7 @@ def _given(
     small: Sequence[MaskView],
     support: SupportViews,
     ortho: Orthophoto,
-    odds: Sequence[Float32[ndarray, "height width"]],
+    odds: Sequence[Grey32],
     last: OnSupport | None,
     distance: float,
     settings: SupportSettings,
@@ -234,6 +233,6 @@ def _given(
     )
 
 
-def _reduced(values: Float32[ndarray, "height width"], view: MaskView) -> Float[ndarray, "rows columns"]:
+def _reduced(values: Grey32, view: MaskView) -> Reduced:
     size = (view.camera.width, view.camera.height)
     return cv2.resize(values, size, interpolation=cv2.INTER_AREA).astype(np.float64)

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from lambent_core.colour import linear_from_srgb
 from numpy import ndarray
 
+from lambent_capture.arrays import Colours32, Reduced, Rgb, Texels32, Vector
 from lambent_capture.masks.consensus import MaskView
 from lambent_capture.masks.photograph import Progress
 from lambent_capture.masks.plane_maps import NOWHERE, OrthoGrid, seen_pixels, seen_texels
@@ -35,7 +36,7 @@ class Orthophoto:
     lab: Float32[ndarray, "cells cells 3"]
     spread: Float32[ndarray, "cells cells 2"]
     """Standard deviations over the views, of L and of chroma."""
-    known: Float32[ndarray, "cells cells"]
+    known: Texels32
     """1 where enough views see the support free, 0 where none does."""
     hidden: Bool[ndarray, "cells cells"]
     """Where enough views look, but none sees the support free: what the object stands on."""
@@ -58,14 +59,12 @@ class SupportViews:
     warped: list[UInt8[ndarray, "cells cells 3"]] = field(default_factory=list)
     """CIELAB of each view on the support, as `cv2` keeps it in bytes; L = 0 outside of the picture."""
 
-    def lab(self, view: int) -> Float32[ndarray, "height width 3"]:
+    def lab(self, view: int) -> Colours32:
         """Return a view in CIELAB, exposures evened out."""
         return lab_with_gain(self.views[view].image_srgb, self.gains[view])
 
 
-def lab_with_gain(
-    image_srgb: UInt8[ndarray, "height width 3"], gain: Float[ndarray, "3"]
-) -> Float32[ndarray, "height width 3"]:
+def lab_with_gain(image_srgb: Rgb, gain: Vector) -> Colours32:
     """Return CIELAB of a picture whose linear light is multiplied by `gain`."""
     table = _LINEAR[:, None] * gain.astype(np.float32)
     light = cv2.LUT(image_srgb, table[:, None])
@@ -101,7 +100,7 @@ def look_at_support(
     return support
 
 
-def build(support: SupportViews, beliefs: Sequence[Float[ndarray, "rows columns"]] | None) -> Orthophoto:
+def build(support: SupportViews, beliefs: Sequence[Reduced] | None) -> Orthophoto:
     """Return the orthophoto from what is not believed to be the object; from everything without `beliefs`.
 
     Source of the robust mean: Tukey's biweight, two steps from the median of up to 24 views.
@@ -136,9 +135,7 @@ def build(support: SupportViews, beliefs: Sequence[Float[ndarray, "rows columns"
 
 
 def _plausible(
-    lab: Float32[ndarray, "cells cells 3"],
-    spread: Float32[ndarray, "cells cells 2"],
-    known: Float32[ndarray, "cells cells"],
+    lab: Float32[ndarray, "cells cells 3"], spread: Float32[ndarray, "cells cells 2"], known: Texels32
 ) -> Float32[ndarray, "cells cells 2"]:
     """Return spreads no larger than elsewhere on the support, but where its own pattern has contrast.
 
@@ -158,9 +155,7 @@ def _warp(picture: ndarray, maps: tuple[ndarray, ndarray]) -> ndarray:
     return np.asarray(cv2.remap(picture, *maps, cv2.INTER_LINEAR))
 
 
-def free_of_object(
-    support: SupportViews, number: int, beliefs: Sequence[Float[ndarray, "rows columns"]] | None
-) -> Float32[ndarray, "cells cells"]:
+def free_of_object(support: SupportViews, number: int, beliefs: Sequence[Reduced] | None) -> Texels32:
     """Return 1 for texels that a view shows free of what is believed to be the object, else 0."""
     shown = (support.warped[number][..., 0] > 0).astype(np.float32)
     if beliefs is None:
@@ -202,9 +197,7 @@ def _median_without_nan(values: Float[ndarray, "views texels 3"]) -> Float[ndarr
     return np.take_along_axis(ordered, middle[None], axis=0)[0]
 
 
-def _median(
-    support: SupportViews, weights: Sequence[Float32[ndarray, "cells cells"]]
-) -> Float32[ndarray, "cells cells 3"]:
+def _median(support: SupportViews, weights: Sequence[Texels32]) -> Float32[ndarray, "cells cells 3"]:
     """Return the median colour of each texel over up to 24 views that see it free."""
     step = max(1, -(-len(weights) // _MEDIAN_VIEWS))
     chosen = range(0, len(weights), step)

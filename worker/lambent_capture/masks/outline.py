@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from scipy import ndimage
 
+from lambent_capture.arrays import Grey, Region
 from lambent_capture.checks.hull import grown
 
 _SURE = 3.0
@@ -19,9 +20,7 @@ _LOG_UNIFORM = -1.5 * np.log(60.0) - 3.0
 """Log density of such a colour, up to the same constant as the Gaussians'."""
 
 
-def refine_outline(
-    lab: Float[ndarray, "height width 3"], belief: Float[ndarray, "height width"], band: int
-) -> Float[ndarray, "height width"]:
+def refine_outline(lab: Float[ndarray, "height width 3"], belief: Grey, band: int) -> Grey:
     """Return the belief (0..1) with every pixel within `band` of its outline judged by colour.
 
     Each is compared with the colours near it on the sure sides. Where they are alike, the belief decides.
@@ -47,8 +46,8 @@ def refine_outline(
 
 def _log_density(
     lab: Float[ndarray, "height width 3"],
-    sure: Bool[ndarray, "height width"],
-    doubtful: Bool[ndarray, "height width"],
+    sure: Region,
+    doubtful: Region,
     pixels: Float[ndarray, "pixels 3"],
     sigma: float,
     noise: float,

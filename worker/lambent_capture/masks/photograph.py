@@ -6,18 +6,17 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, UInt8
 from lambent_core.errors import WorkerError
 from lambent_proto.v1 import scene_pb2
-from numpy import ndarray
 
-from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.arrays import Points64, Rgb
 from lambent_capture.masks.consensus import MaskView
 from lambent_capture.pictures.picture_error import PictureError
 from lambent_capture.pictures.pictures import read_picture
 from lambent_capture.pictures.resample import reduced_size
+from lambent_capture.scenes.picture_camera import PictureCamera
 
-Read = Callable[[int], UInt8[ndarray, "height width 3"]]
+Read = Callable[[int], Rgb]
 """Returns a photograph with its longer side at most as many pixels long, sRGB."""
 
 Progress = Callable[[str, int, int], None]
@@ -46,7 +45,7 @@ class Photograph:
 class SparsePoints:
     """Points that were found while cameras were solved, or with cameras that are known."""
 
-    xyz: Float64[ndarray, "points 3"]
+    xyz: Points64
     """Scene units, in the coordinates of the cameras."""
     seen_by: tuple[tuple[int, ...], ...] = ()
     """For each point the views that see it, as positions in the list of views; empty where unknown."""
@@ -64,7 +63,7 @@ def photographs_of(folder: Path, manifest: scene_pb2.SceneManifest) -> list[Phot
 def _file_reader(folder: Path, frame: scene_pb2.Frame, manifest: scene_pb2.SceneManifest) -> Read:
     path = min(frame.images, key=lambda image: image.light not in manifest.lights).path
 
-    def read(side: int) -> UInt8[ndarray, "height width 3"]:
+    def read(side: int) -> Rgb:
         try:
             return read_picture(folder / path, side=side).srgb()
         except PictureError as error:

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 from numpy import ndarray
 
+from lambent_capture.arrays import Grey32
 from lambent_capture.masks.consensus import MaskView
 from lambent_capture.masks.plane_maps import NOWHERE, OrthoGrid, seen_pixels
 from lambent_capture.masks.support_plane import SupportPlane
@@ -34,10 +35,7 @@ class HeightSettings:
 
 
 def best_height(
-    plane: SupportPlane,
-    views: Sequence[MaskView],
-    distance: float,
-    settings: HeightSettings | None = None,
+    plane: SupportPlane, views: Sequence[MaskView], distance: float, settings: HeightSettings | None = None
 ) -> SupportPlane:
     """Return `plane` moved along its normal to where the views agree best; unmoved where none is better."""
     settings = settings or HeightSettings()
@@ -61,7 +59,7 @@ def _moved(plane: SupportPlane, height: float) -> SupportPlane:
     return replace(plane, origin=plane.origin + height * plane.normal)
 
 
-def _detail(view: MaskView) -> Float32[ndarray, "height width"]:
+def _detail(view: MaskView) -> Grey32:
     """Return the fine contrast of a picture, which exposure and shading leave alone."""
     grey = np.log1p(cv2.cvtColor(view.image_srgb, cv2.COLOR_RGB2GRAY).astype(np.float32))
     return np.asarray(cv2.GaussianBlur(grey, (0, 0), 1.0) - cv2.GaussianBlur(grey, (0, 0), 4.0))
@@ -70,7 +68,7 @@ def _detail(view: MaskView) -> Float32[ndarray, "height width"]:
 def _agreement(
     plane: SupportPlane,
     views: Sequence[MaskView],
-    details: Sequence[Float32[ndarray, "height width"]],
+    details: Sequence[Grey32],
     distance: float,
     settings: HeightSettings,
 ) -> float:

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 from numpy import ndarray
 
-from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.arrays import Colours32
 from lambent_capture.masks.support_plane import SupportPlane
+from lambent_capture.scenes.picture_camera import PictureCamera
 
 _STEP = 4
 NOWHERE = -1.0e4
@@ -35,7 +36,7 @@ class OrthoGrid:
         return (local + self.half) / self.texel - 0.5
 
 
-def straight_rays(camera: PictureCamera) -> Float32[ndarray, "height width 3"]:
+def straight_rays(camera: PictureCamera) -> Colours32:
     """Return directions through the pixel centres, scene coordinates, depth 1; distortion is undone.
 
     Undone on every fourth pixel and interpolated, which is exact to a hundredth of a pixel.

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
 from numpy import ndarray
 
+from lambent_capture.arrays import Cells, Colours32, Grey32
 from lambent_capture.masks.evidence import TABLE_VOLUME, colour_cells
 from lambent_capture.masks.orthophoto import Orthophoto, SupportViews
 
@@ -38,12 +38,8 @@ class PredictionSettings:
 
 
 def support_odds(
-    support: SupportViews,
-    ortho: Orthophoto,
-    view: int,
-    objects: Float[ndarray, " cells"] | None,
-    settings: PredictionSettings,
-) -> Float32[ndarray, "height width"]:
+    support: SupportViews, ortho: Orthophoto, view: int, objects: Cells | None, settings: PredictionSettings
+) -> Grey32:
     """Return the log odds that a pixel does not show the support; 0 where nothing is known of the support.
 
     Colours of the support are normal around the orthophoto's, or darkened by a shadow, or anything;
@@ -72,12 +68,8 @@ def support_odds(
 
 
 def _shadow_density(
-    own: Float32[ndarray, "height width 3"],
-    predicted: Float32[ndarray, "height width 3"],
-    sigma_l: Float32[ndarray, "height width"],
-    sigma_c: Float32[ndarray, "height width"],
-    settings: PredictionSettings,
-) -> Float32[ndarray, "height width"]:
+    own: Colours32, predicted: Colours32, sigma_l: Grey32, sigma_c: Grey32, settings: PredictionSettings
+) -> Grey32:
     """Return the density of the support in shadows: any L down to the darkest, chroma in proportion."""
     lightness = np.maximum(predicted[..., 0], 1.0)
     range_l = np.maximum(settings.darkest * lightness, 1.0)

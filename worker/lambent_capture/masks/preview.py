@@ -18,13 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from lambent_core.files import write_json
 from lambent_proto.v1 import scene_pb2
-from numpy import ndarray
 from PIL import Image
 
-from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.arrays import Grey, PerView
 from lambent_capture.masks.consensus import MaskView
 from lambent_capture.masks.estimate import EstimateSettings
 from lambent_capture.masks.final import preview_masks
@@ -34,6 +32,7 @@ from lambent_capture.pictures.coverage import frame_mask
 from lambent_capture.pictures.picture import box_averaged
 from lambent_capture.pictures.pictures import read_picture
 from lambent_capture.pictures.upright import turned_pixels, turned_size, upright_turns
+from lambent_capture.scenes.picture_camera import PictureCamera
 
 VERSION = 1
 SIDE = 640
@@ -74,9 +73,9 @@ def write_given(folder: Path, manifest: scene_pb2.SceneManifest, out: Path) -> N
 def _write(
     out: Path,
     views: Sequence[MaskView],
-    coverages: Sequence[Float[ndarray, "height width"]],
+    coverages: Sequence[Grey],
     sizes: Sequence[tuple[int, int]],
-    overlap: Float[ndarray, " views"] | None,
+    overlap: PerView | None,
     reason: str,
 ) -> None:
     """Write everything; `overlap` is None for masks that are not compared with each other."""

@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Int8
+from jaxtyping import Int8
 from lambent_core.errors import UsageError
 from numpy import ndarray
 
+from lambent_capture.arrays import Marks, Reduced32
 from lambent_capture.masks.consensus import (
-    Agreement,
+    Consensus,
     Given,
     Leaning,
     MaskView,
@@ -86,9 +87,9 @@ def require_frames(work: Workspace, corrections: Sequence[Correction]) -> None:
 def _updated(
     work: Workspace,
     small: Sequence[MaskView],
-    seeds: dict[int, Int8[ndarray, "height width"]],
+    seeds: dict[int, Marks],
     given: Given,
-    agreement: Agreement | None,
+    agreement: Consensus | None,
 ) -> Workspace:
     shapes = [(view.camera.height, view.camera.width) for view in small]
     if agreement is None:  # Everything was marked as background.
@@ -114,11 +115,7 @@ def _updated(
     )
 
 
-def _decided(
-    before: Float32[ndarray, "rows columns"],
-    unmarked: Float32[ndarray, "rows columns"],
-    after: Float32[ndarray, "rows columns"],
-) -> Float32[ndarray, "rows columns"]:
+def _decided(before: Reduced32, unmarked: Reduced32, after: Reduced32) -> Reduced32:
     """Return what the other views say now, final where a person's marks have turned or moved it.
 
     `found` is what they said when the object was found, `unmarked` what they would say now without the marks.
@@ -163,7 +160,7 @@ def _given(
     )
 
 
-def _seeds(work: Workspace, corrections: Sequence[Correction]) -> dict[int, Int8[ndarray, "height width"]]:
+def _seeds(work: Workspace, corrections: Sequence[Correction]) -> dict[int, Marks]:
     seeds = {}
     for number, name in enumerate(work.names):
         rows, columns = work.pictures[number].shape[:2]
@@ -177,5 +174,5 @@ def _seeds(work: Workspace, corrections: Sequence[Correction]) -> dict[int, Int8
     return seeds
 
 
-def _resized(values: ndarray, size: tuple[int, int]) -> Float32[ndarray, "rows columns"]:
+def _resized(values: ndarray, size: tuple[int, int]) -> Reduced32:
     return np.asarray(cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_AREA))

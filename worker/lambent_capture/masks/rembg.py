@@ -20,11 +20,10 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
 from lambent_core.errors import UsageError, WorkerError, pip_install
-from numpy import ndarray
 from PIL import Image
 
+from lambent_capture.arrays import Grey, Grey32, Rgb
 from lambent_capture.masks.consensus import MaskView
 
 GENERAL = "u2net_custom"
@@ -49,7 +48,7 @@ class RembgSegmenter:
         """Return the segmenter for `--segmenter rembg=OPTION`."""
         return RembgSegmenter(option=option)
 
-    def __call__(self, views: Sequence[MaskView]) -> Sequence[Float[ndarray, "height width"]]:
+    def __call__(self, views: Sequence[MaskView]) -> Sequence[Grey]:
         """Return the coverage of each view, 0..1.
 
         Raises `UsageError` where rembg or the model is missing, and `WorkerError` with `scene.mask_missing`
@@ -156,7 +155,7 @@ def _sessions() -> ModuleType:
             del sys.modules["rembg"]
 
 
-def _coverage(session: Any, image_srgb: UInt8[ndarray, "height width 3"]) -> Float32[ndarray, "height width"]:
+def _coverage(session: Any, image_srgb: Rgb) -> Grey32:
     with np.errstate(
         invalid="ignore", divide="ignore"
     ):  # of a picture in which the network sees nothing at all

@@ -8,10 +8,9 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Protocol
 
-from jaxtyping import Float
 from lambent_core.errors import UsageError
-from numpy import ndarray
 
+from lambent_capture.arrays import Grey
 from lambent_capture.masks.consensus import MaskView
 
 ENTRY_POINTS = "lambent.segmenters"
@@ -20,7 +19,7 @@ ENTRY_POINTS = "lambent.segmenters"
 class Segmenter(Protocol):
     """Finds the object in the pictures of one capture."""
 
-    def __call__(self, views: Sequence[MaskView]) -> Sequence[Float[ndarray, "height width"]]:
+    def __call__(self, views: Sequence[MaskView]) -> Sequence[Grey]:
         """Return for each view how much of each pixel the object covers, 0..1, at the size of its picture.
 
         All views show the same object; their cameras are known. Raise `WorkerError` where it is not found.

@@ -3,10 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 from lambent_proto.v1 import scene_pb2
-from numpy import ndarray
 
+from lambent_capture.arrays import Points64, Pose64
 from lambent_capture.layouts import colmap
 from lambent_capture.layouts.camera_places import place_of
 from lambent_capture.layouts.colmap_model import read_images
@@ -67,9 +66,7 @@ def points_of_model(model: Path, manifest: scene_pb2.SceneManifest) -> SparsePoi
     )
 
 
-def fitted_similarity(
-    source: Float64[ndarray, "points 3"], target: Float64[ndarray, "points 3"]
-) -> Float64[ndarray, "4 4"] | None:
+def fitted_similarity(source: Points64, target: Points64) -> Pose64 | None:
     """Return the similarity that takes `source` to `target`, or None where none does to a hundredth.
 
     Source: Umeyama, Least-squares estimation of transformation parameters, PAMI 1991, Eq. 40 to 42.

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float
 from numpy import ndarray
+
+from lambent_capture.arrays import Points, Points64, Rotation64, Vector, Vector64
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,33 +49,31 @@ class PlaneSettings:
 class SupportPlane:
     """A plane with coordinates on it: right-handed axes, the third is the normal on the cameras' side."""
 
-    origin: Float64[ndarray, "3"]
+    origin: Vector64
     """The point of the plane below what the cameras look at."""
-    axes: Float64[ndarray, "3 3"]
+    axes: Rotation64
     """Rows: two unit vectors along the plane and the normal."""
-    share: float
-    """Share of the near sparse points that lie on it."""
     reach: float = 0.0
-    """Four fifths of these are nearer to the origin than this, scene units."""
+    """Four fifths of the sparse points on it are nearer to the origin than this, scene units."""
 
     @property
-    def normal(self) -> Float64[ndarray, "3"]:
+    def normal(self) -> Vector64:
         """Return the unit normal, on the cameras' side."""
         return self.axes[2]
 
-    def local(self, points: Float[ndarray, "points 3"]) -> Float64[ndarray, "points 3"]:
+    def local(self, points: Points) -> Points64:
         """Return points of the scene in coordinates of the plane; the third is the height above it."""
         return (points - self.origin) @ self.axes.T
 
-    def world(self, local: Float[ndarray, "points 3"]) -> Float64[ndarray, "points 3"]:
+    def world(self, local: Points) -> Points64:
         """Return points in coordinates of the plane in those of the scene."""
         return self.origin + local @ self.axes
 
 
 def find_support(
-    points: Float[ndarray, "points 3"],
+    points: Points,
     positions: Float[ndarray, "cameras 3"],
-    centre: Float[ndarray, "3"],
+    centre: Vector,
     distance: float,
     settings: PlaneSettings | None = None,
 ) -> SupportPlane | None:
@@ -97,30 +97,28 @@ def find_support(
         normal = turned * np.sign(turned @ normal)
         height = float(normal @ middle)
     on_plane = np.abs(near @ normal - height) < thickness
-    plane = plane_at(centre, normal, height, float(on_plane.mean()))
+    plane = plane_at(centre, normal, height)
     away = np.linalg.norm(plane.local(near[on_plane])[:, :2], axis=1)
     plane = replace(plane, reach=float(np.percentile(away, 80.0)))
     credible = _is_credible(near, on_plane, distance, settings)
     return plane if credible and _reaches_beyond(plane.local(near), on_plane, distance, settings) else None
 
 
-def plane_at(
-    centre: Float[ndarray, "3"], normal: Float[ndarray, "3"], height: float, share: float
-) -> SupportPlane:
+def plane_at(centre: Vector, normal: Vector, height: float) -> SupportPlane:
     """Return the plane `normal` . x = `height` with its origin at the foot of `centre`."""
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     first /= np.linalg.norm(first)
     axes = np.stack([first, np.cross(normal, first), normal])
-    return SupportPlane(origin=centre - (normal @ centre - height) * normal, axes=axes, share=share)
+    return SupportPlane(origin=centre - (normal @ centre - height) * normal, axes=axes)
 
 
 def _best_trial(
-    near: Float[ndarray, "points 3"],
+    near: Points,
     positions: Float[ndarray, "cameras 3"],
-    centre: Float[ndarray, "3"],
+    centre: Vector,
     thickness: float,
     settings: PlaneSettings,
-) -> tuple[Float64[ndarray, "3"], float] | None:
+) -> tuple[Vector64, float] | None:
     generator = np.random.default_rng(settings.seed)
     corners = near[generator.integers(0, len(near), (settings.trials, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -146,10 +144,7 @@ def _best_trial(
 
 
 def _is_credible(
-    near: Float[ndarray, "points 3"],
-    on_plane: Bool[ndarray, " points"],
-    distance: float,
-    settings: PlaneSettings,
+    near: Points, on_plane: Bool[ndarray, " points"], distance: float, settings: PlaneSettings
 ) -> bool:
     if on_plane.sum() < max(settings.min_points, settings.min_share * len(near)):
         return False
@@ -159,10 +154,7 @@ def _is_credible(
 
 
 def _reaches_beyond(
-    local: Float64[ndarray, "points 3"],
-    on_plane: Bool[ndarray, " points"],
-    distance: float,
-    settings: PlaneSettings,
+    local: Points64, on_plane: Bool[ndarray, " points"], distance: float, settings: PlaneSettings
 ) -> bool:
     """Return whether the plane continues around what stands on it, which a facet of the object does not."""
     radius = np.hypot(local[:, 0], local[:, 1])

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float64, Int
+from jaxtyping import Float64, Int
 from numpy import ndarray
 
-from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.arrays import Points64, Vector, Vector64
 from lambent_capture.masks.photograph import Photograph, Progress, SparsePoints
 from lambent_capture.masks.plane_maps import straightened
+from lambent_capture.scenes.picture_camera import PictureCamera
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -49,7 +50,7 @@ class _Features:
 
 def triangulate(
     photographs: Sequence[Photograph],
-    centre: Float[ndarray, "3"],
+    centre: Vector,
     settings: TriangulateSettings | None = None,
     progress: Progress = lambda phase, done, total: None,
 ) -> SparsePoints:
@@ -107,9 +108,7 @@ def _rays(camera: PictureCamera, pixels: Float64[ndarray, "features 2"]) -> Floa
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
-def _shared_points(
-    first: _Features, second: _Features, settings: TriangulateSettings
-) -> Float64[ndarray, "points 3"]:
+def _shared_points(first: _Features, second: _Features, settings: TriangulateSettings) -> Points64:
     matches = _matches(first.descriptors, second.descriptors, settings.ratio)
     one, other = first.rays[matches[:, 0]], second.rays[matches[:, 1]]
     points = _between(first.camera.position, one, second.camera.position, other)
@@ -138,12 +137,7 @@ def _matches(first: ndarray, second: ndarray, ratio: float) -> Int[ndarray, "mat
     return np.column_stack([chosen, best[chosen]])
 
 
-def _between(
-    start: Float64[ndarray, "3"],
-    rays: Float64[ndarray, "points 3"],
-    other_start: Float64[ndarray, "3"],
-    other_rays: Float64[ndarray, "points 3"],
-) -> Float64[ndarray, "points 3"]:
+def _between(start: Vector64, rays: Points64, other_start: Vector64, other_rays: Points64) -> Points64:
     """Return the middle of the shortest line between two rays each; not finite where they are parallel."""
     gap = other_start - start
     cosine = (rays * other_rays).sum(axis=1)

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float16, Float32, Float64, Int8, UInt8
+from jaxtyping import Float16
 from lambent_core.errors import WorkerError
 from numpy import ndarray
 
-from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.arrays import Marks, Reduced32, Rgb, Vector64
 from lambent_capture.masks.consensus import ConsensusSettings, MaskView
 from lambent_capture.masks.lattice import Frame
+from lambent_capture.scenes.picture_camera import PictureCamera
 
 VERSION = 2
 _ABOUT = "estimate.json"
@@ -26,25 +27,25 @@ class Workspace:
     names: tuple[str, ...]
     cameras: tuple[PictureCamera, ...]
     """In pixels of the photographs."""
-    pictures: tuple[UInt8[ndarray, "height width 3"], ...]
+    pictures: tuple[Rgb, ...]
     """sRGB, reduced."""
     support_odds: tuple[Float16[ndarray, "height width"], ...]
     """Log odds that a pixel of `pictures` does not show the support; 0 where nothing is known."""
-    learnt: tuple[Float32[ndarray, "rows columns"], ...]
-    beyond: tuple[Float32[ndarray, "rows columns"], ...]
+    learnt: tuple[Reduced32, ...]
+    beyond: tuple[Reduced32, ...]
     """How much a pixel counts when colours are learnt, and if it sees past the support: `evidence.Known`."""
-    beliefs: tuple[Float32[ndarray, "rows columns"], ...]
+    beliefs: tuple[Reduced32, ...]
     """Probability of the object, at the size at which views are compared."""
-    priors: tuple[Float32[ndarray, "rows columns"], ...]
+    priors: tuple[Reduced32, ...]
     """What other views say about a pixel, log odds, at that size."""
     frame: Frame
-    low: Float64[ndarray, "3"]
-    high: Float64[ndarray, "3"]
+    low: Vector64
+    high: Vector64
     """Corners of the box that is searched, in coordinates of `frame`."""
-    found_low: Float64[ndarray, "3"]
-    found_high: Float64[ndarray, "3"]
+    found_low: Vector64
+    found_high: Vector64
     """Corners of the box around what was found."""
-    centre: Float64[ndarray, "3"]
+    centre: Vector64
     """Point that the cameras look at, scene units."""
     distance: float
     """Of the cameras from it."""
@@ -54,7 +55,7 @@ class Workspace:
     """How the views were compared when the object was found."""
     reason: str = ""
     """Why nothing was found at all; empty where something was."""
-    seeds: dict[int, Int8[ndarray, "height width"]] = field(default_factory=dict)
+    seeds: dict[int, Marks] = field(default_factory=dict)
     """What a person marked in some views, 1 object and -1 background; not saved."""
 
     def view(self, number: int) -> MaskView:
@@ -81,16 +82,7 @@ class Workspace:
             "has_support": self.has_support,
             "rounds": asdict(self.rounds),
             "reason": self.reason,
-            "cameras": [
-                {
-                    "width": camera.width,
-                    "height": camera.height,
-                    "focal": camera.focal,
-                    "centre": camera.centre,
-                    "distortion": camera.distortion,
-                }
-                for camera in self.cameras
-            ],
+            "cameras": [{name: getattr(camera, name) for name in _OF_CAMERA} for camera in self.cameras],
         }
         (folder / _ABOUT).write_text(json.dumps(about, indent=1), encoding="utf-8")
 
@@ -116,17 +108,7 @@ class Workspace:
     @classmethod
     def _from(cls, about: dict, arrays: dict[str, ndarray]) -> "Workspace":
         poses = arrays["camera_to_world"]
-        cameras = tuple(
-            PictureCamera(
-                width=each["width"],
-                height=each["height"],
-                focal=tuple(each["focal"]),
-                centre=tuple(each["centre"]),
-                distortion=tuple(each["distortion"]),
-                camera_to_world=pose,
-            )
-            for each, pose in zip(about["cameras"], poses, strict=True)
-        )
+        cameras = tuple(_camera(each, pose) for each, pose in zip(about["cameras"], poses, strict=True))
         per_view: dict[str, Any] = {
             name: tuple(arrays[f"{name}_{number}"] for number in range(len(cameras))) for name in _PER_VIEW
         }
@@ -146,5 +128,13 @@ class Workspace:
         )
 
 
+def _camera(record: dict[str, Any], pose: ndarray) -> PictureCamera:
+    figures: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in record.items()
+    }
+    return PictureCamera(**figures, camera_to_world=pose)
+
+
+_OF_CAMERA = ("width", "height", "focal", "centre", "distortion")
 _PER_VIEW = ("pictures", "support_odds", "learnt", "beyond", "beliefs", "priors")
 _VECTORS = ("low", "high", "found_low", "found_high", "centre")

@@ -12,11 +12,12 @@ from functools import lru_cache
 
 import imagecodecs
 import numpy as np
-from jaxtyping import Float32, Float64, Shaped, UInt8
+from jaxtyping import Float32, Float64
 from lambent_core.colour import linear_from_srgb, rec709_matrix, srgb_from_linear
 from numpy import ndarray
 from PIL import Image, ImageCms
 
+from lambent_capture.arrays import Channels32, Colours32, Levels, Rgb
 from lambent_capture.pictures.picture_error import PictureError, reason_of
 
 SAME_LEVELS = 2
@@ -41,9 +42,7 @@ class ColourSpace:
     profile: bytes = b""
     """An ICC profile in place of the two."""
 
-    def linear(
-        self, levels: Shaped[ndarray, "height width channels"]
-    ) -> Float32[ndarray, "height width colours"]:
+    def linear(self, levels: Levels) -> Float32[ndarray, "height width colours"]:
         """Return linear Rec. 709 values of one (grey) or three channels; never below 0, unless stored so.
 
         Colours outside Rec. 709 have a negative channel, which no light has: it becomes 0. Floats without
@@ -59,7 +58,7 @@ class ColourSpace:
             return values
         return np.maximum(values @ np.array(self.matrix, dtype=np.float32).T, 0.0)
 
-    def srgb(self, levels: Shaped[ndarray, "height width channels"]) -> UInt8[ndarray, "height width 3"]:
+    def srgb(self, levels: Levels) -> Rgb:
         """Return 8-bit sRGB colours, clipped to what it can show."""
         if self == SRGB and levels.dtype == np.uint8:
             colours = levels
@@ -138,9 +137,7 @@ def _made(name: str, curve: Curve | None, corners: tuple[float, ...]) -> ColourS
     return ColourSpace(name, curve, rows)
 
 
-def _decoded(
-    levels: Shaped[ndarray, "height width channels"], curve: Curve | None
-) -> Float32[ndarray, "height width channels"]:
+def _decoded(levels: Levels, curve: Curve | None) -> Channels32:
     if levels.dtype.kind == "f":
         return np.asarray(curve(np.maximum(levels, 0.0)) if curve else levels, dtype=np.float32)
     return _table(curve, levels.dtype.itemsize)[levels]
@@ -152,9 +149,7 @@ def _table(curve: Curve | None, num_bytes: int) -> Float32[ndarray, " levels"]:
     return (encoded if curve is None else curve(encoded)).astype(np.float32)
 
 
-def _through_profile(
-    profile: bytes, levels: Shaped[ndarray, "height width channels"]
-) -> Float32[ndarray, "height width 3"]:
+def _through_profile(profile: bytes, levels: Levels) -> Colours32:
     grey = _is_grey(profile)
     if not grey and levels.shape[-1] == 1:
         levels = np.broadcast_to(levels, (*levels.shape[:2], 3))

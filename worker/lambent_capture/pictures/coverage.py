@@ -3,11 +3,10 @@
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
 from lambent_proto.v1 import scene_pb2
-from numpy import ndarray
 from scipy import ndimage
 
+from lambent_capture.arrays import Grey32, Reduced32
 from lambent_capture.pictures.exif import exif_facts
 from lambent_capture.pictures.mask_levels import Mask, read_mask
 from lambent_capture.pictures.picture import box_averaged, turned, undoing
@@ -79,7 +78,7 @@ def fits(path: Path, photograph: Path) -> bool:
     return mask == picture[::-1] and not turns.isdisjoint({6, 8})
 
 
-def frame_coverage(folder: Path, frame: scene_pb2.Frame) -> Float32[ndarray, "height width"] | None:
+def frame_coverage(folder: Path, frame: scene_pb2.Frame) -> Grey32 | None:
     """Return the object's coverage of each pixel of the first photograph, or None if it is not given.
 
     The size is that of the files, lens distortion included. Raises `PictureError`.
@@ -93,7 +92,7 @@ def frame_coverage(folder: Path, frame: scene_pb2.Frame) -> Float32[ndarray, "he
     return np.minimum(alpha, mask.coverage)
 
 
-def alpha_of(path: Path) -> Float32[ndarray, "height width"] | None:
+def alpha_of(path: Path) -> Grey32 | None:
     """Return the alpha of a picture, from 0 to 1, or None where it states none. Raises `PictureError`."""
     if not has_alpha(path):
         return None
@@ -101,9 +100,7 @@ def alpha_of(path: Path) -> Float32[ndarray, "height width"] | None:
     return None if picture.alpha is None else picture.coverage()
 
 
-def small_coverage(
-    folder: Path, frame: scene_pb2.Frame, max_side: int
-) -> Float32[ndarray, "rows columns"] | None:
+def small_coverage(folder: Path, frame: scene_pb2.Frame, max_side: int) -> Reduced32 | None:
     """Return `frame_coverage` as the frame's pinhole camera shows it, reduced to `max_side` pixels."""
     coverage = frame_coverage(folder, frame)
     if coverage is None:
@@ -112,9 +109,7 @@ def small_coverage(
     return resampled(coverage[..., None], frame.camera, size)[..., 0]
 
 
-def _clearest(
-    photograph: Path, candidates: list[Float32[ndarray, "height width"]]
-) -> Float32[ndarray, "height width"]:
+def _clearest(photograph: Path, candidates: list[Grey32]) -> Grey32:
     """Return the one of two masks whose outline lies where the photograph changes."""
     size = reduced_size(candidates[0].shape[1], candidates[0].shape[0], OUTLINE_SIDE)
     insides = [box_averaged(candidate, size) > 0.5 for candidate in candidates]

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
 from numpy import ndarray
 from scipy import ndimage
 
+from lambent_capture.arrays import Channels32, Grey32, Reduced32
 from lambent_capture.pictures.colour_space import LINEAR, ColourSpace, of_chromaticities
-from lambent_capture.pictures.picture_error import PictureError
+from lambent_capture.pictures.picture_error import PictureError, first_bytes
 
 MAX_EXR_PIXELS = 16 * 2**20
 """Pixels of a single picture: 4096 x 4096; they are up to four times as large in memory as 8-bit ones."""
@@ -50,11 +50,7 @@ def exr_has_alpha(path: Path) -> bool:
     return "A" in _chosen(path)[2]
 
 
-def exr_pixels(
-    path: Path,
-) -> tuple[
-    Float32[ndarray, "height width channels"], Float32[ndarray, "height width"] | None, ColourSpace, str
-]:
+def exr_pixels(path: Path) -> tuple[Channels32, Grey32 | None, ColourSpace, str]:
     """Return colours (one or three channels) over the display window, straight alpha, their space, any doubt.
 
     What the data window leaves out is black, and transparent where there is alpha; what it has beyond the
@@ -88,10 +84,7 @@ def _chosen(path: Path) -> tuple[int, dict[str, Any], dict[str, str]]:
     """Return number and header of the part to read, and which of its channels are R, G, B, A or Y, RY, BY."""
     import OpenEXR
 
-    if not path.is_file():
-        raise PictureError("scene.file_missing", "does not exist; add it or remove the frame")
-    with path.open("rb") as file:
-        head = file.read(65536)
+    head = first_bytes(path, 65536)
     if not head.startswith(b"\x76\x2f\x31\x01"):
         raise PictureError("scene.image_not_a_picture", "is not an EXR picture; export or copy it again")
     # The library does not open a file whose windows are absurd, and does not say why.
@@ -160,7 +153,7 @@ def _colour_channels(names: list[str]) -> dict[str, str]:
     return next(iter(usable.values())) if len(usable) == 1 else {}
 
 
-def _plane(channel: Any, header: Mapping[str, Any]) -> Float32[ndarray, "height width"]:
+def _plane(channel: Any, header: Mapping[str, Any]) -> Grey32:
     """Return a channel over the display window. Chroma may be stored for every second pixel."""
     pixels = channel.pixels
     if pixels is None or pixels.dtype not in (np.float16, np.float32):
@@ -186,9 +179,7 @@ def _plane(channel: Any, header: Mapping[str, Any]) -> Float32[ndarray, "height 
     return plane
 
 
-def _upsampled(
-    pixels: Float32[ndarray, "rows columns"], origin: tuple[int, int], size: tuple[int, int], channel: Any
-) -> Float32[ndarray, "height width"]:
+def _upsampled(pixels: Reduced32, origin: tuple[int, int], size: tuple[int, int], channel: Any) -> Grey32:
     """Return a subsampled channel at every pixel, linearly between its samples.
 
     Samples lie where the coordinate is a multiple of the sampling. Source: OpenEXR file layout.
@@ -209,9 +200,7 @@ def _upsampled(
     return pixels
 
 
-def _from_luminance_chroma(
-    planes: dict[str, ndarray], header: Mapping[str, Any]
-) -> dict[str, Float32[ndarray, "height width"]]:
+def _from_luminance_chroma(planes: dict[str, ndarray], header: Mapping[str, Any]) -> dict[str, Grey32]:
     """Return R, G, B of Y, RY = (R - Y) / Y and BY = (B - Y) / Y. Source: OpenEXR, ImfRgbaYca.h."""
     red_weight, green_weight, blue_weight = _luminance(header)
     luminance = planes["Y"]
@@ -246,9 +235,7 @@ def _space(header: Mapping[str, Any]) -> ColourSpace:
     return of_chromaticities(tuple(float(value) for value in np.ravel(stated)))
 
 
-def _is_straight(
-    colours: Float32[ndarray, "height width channels"], alpha: Float32[ndarray, "height width"]
-) -> bool:
+def _is_straight(colours: Channels32, alpha: Grey32) -> bool:
     """Return whether colours were clearly not multiplied by alpha, as some programs write them.
 
     Multiplied colours are 0 where alpha is, but for what glows (a flame, a lens flare), and along outlines

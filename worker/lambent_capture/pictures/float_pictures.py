@@ -4,11 +4,10 @@ import re
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
-from numpy import ndarray
 
+from lambent_capture.arrays import Colours32
 from lambent_capture.pictures.exr_pictures import MAX_EXR_PIXELS
-from lambent_capture.pictures.picture_error import PictureError
+from lambent_capture.pictures.picture_error import PictureError, first_bytes
 
 MAX_HDR_PIXELS = MAX_EXR_PIXELS
 _RESOLUTION = re.compile(rb"\n\n[-+]([XY]) (\d{1,7}) [-+][XY] (\d{1,7})\n")
@@ -19,10 +18,7 @@ def hdr_size(path: Path) -> tuple[int, int]:
 
     That allocates what the header requests, and a file of a few hundred bytes can request gigabytes.
     """
-    if not path.is_file():
-        raise PictureError("scene.file_missing", "does not exist; add it or remove the frame")
-    with path.open("rb") as file:
-        head = file.read(65536)
+    head = first_bytes(path, 65536)
     if not head.startswith((b"#?RADIANCE", b"#?RGBE")):
         raise PictureError("scene.image_not_a_picture", "is not an HDR picture; export or copy it again")
     match = _RESOLUTION.search(head)
@@ -34,7 +30,7 @@ def hdr_size(path: Path) -> tuple[int, int]:
     return (second, first) if match[1] == b"Y" else (first, second)
 
 
-def hdr_pixels(path: Path) -> Float32[ndarray, "height width 3"]:
+def hdr_pixels(path: Path) -> Colours32:
     """Return linear Rec. 709 colours of an HDR picture. Raises `PictureError`."""
     from lambent_core.errors import EnvironmentFileError
     from lambent_core.rgbe import read_rgbe

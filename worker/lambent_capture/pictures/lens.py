@@ -5,6 +5,7 @@ Coordinates: x right, y down, over depth. Distortion: OpenCV's k1, k2, p1, p2, k
 """
 
 import functools
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Self
 
@@ -13,6 +14,7 @@ from jaxtyping import Float, Float64
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
+from lambent_capture.arrays import Pose64
 from lambent_capture.problems import Problems
 
 NUM_COEFFICIENTS = 8
@@ -50,7 +52,7 @@ class LensFigures:
 
 
 def distorted(
-    x: Float[ndarray, "*batch"], y: Float[ndarray, "*batch"], coefficients: Float64[ndarray, "8"]
+    x: Float[ndarray, "*batch"], y: Float[ndarray, "*batch"], coefficients: Iterable[float]
 ) -> tuple[Float[ndarray, "*batch"], Float[ndarray, "*batch"]]:
     """Return where a lens shows what a pinhole shows at (x, y)."""
     k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
@@ -62,8 +64,18 @@ def distorted(
     )
 
 
+def seen_by_lens(
+    camera: scene_pb2.Camera, columns: Float[ndarray, " columns"], rows: Float[ndarray, " rows"]
+) -> tuple[Float[ndarray, "rows columns"], Float[ndarray, "rows columns"]]:
+    """Return the columns and rows of the lens's picture that show these of its pinhole camera, pixels."""
+    x, y = (columns - camera.centre_x) / camera.focal_x, (rows - camera.centre_y) / camera.focal_y
+    lens = camera.lens
+    seen_x, seen_y = distorted(*np.meshgrid(x, y), np.array(lens.distortion))
+    return lens.focal_x * seen_x + lens.centre_x, lens.focal_y * seen_y + lens.centre_y
+
+
 def camera_with_lens(
-    figures: LensFigures, pose: Float64[ndarray, "4 4"], subject: str, problems: Problems
+    figures: LensFigures, pose: Pose64, subject: str, problems: Problems
 ) -> scene_pb2.Camera | None:
     """Return the camera of a picture, or None after noting in `problems` what is wrong with its lens.
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Shaped
+from jaxtyping import Shaped
 from numpy import ndarray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
+from lambent_capture.arrays import Grey32, Plane
 from lambent_capture.pictures.picture import Picture, shares, turned, undoing
 from lambent_capture.pictures.picture_error import PictureError
 from lambent_capture.pictures.picture_statements import MIRRORED, orientation_of
@@ -49,7 +50,7 @@ _TEXT, _AS_STORED = "Orientation", "rows and columns of the photograph's file"
 class Mask:
     """A mask file, understood."""
 
-    coverage: Float32[ndarray, "height width"]
+    coverage: Grey32
     """The object's share of each pixel, 0..1."""
     full: int
     """The level that stands for the object; 0 where none does, or levels do not count."""
@@ -90,7 +91,7 @@ def read_mask(path: Path, encoding: str = "") -> Mask:
     )
 
 
-def write_mask(path: Path, coverage: Shaped[ndarray, "height width"], **options: int) -> None:
+def write_mask(path: Path, coverage: Plane, **options: int) -> None:
     """Write a mask (0..1, or 8-bit levels) in a photograph's stored rows and columns as PNG, saying so.
 
     `options` are those of Pillow's PNG writer.
@@ -102,7 +103,7 @@ def write_mask(path: Path, coverage: Shaped[ndarray, "height width"], **options:
     Image.fromarray(levels).save(path, "PNG", pnginfo=text, **options)
 
 
-def _covered(picture: Picture, *, lossy: bool) -> tuple[Float32[ndarray, "height width"], int]:
+def _covered(picture: Picture, *, lossy: bool) -> tuple[Grey32, int]:
     """Return coverage, and the level that stands for the object."""
     if picture.alpha is not None:
         alpha = shares(picture.alpha)
@@ -121,7 +122,7 @@ def _covered(picture: Picture, *, lossy: bool) -> tuple[Float32[ndarray, "height
     return _of_floats(grey) if picture.is_linear else _of_levels(grey, lossy=lossy)
 
 
-def _few_bits(path: Path, picture: Picture) -> tuple[Float32[ndarray, "height width"], int] | None:
+def _few_bits(path: Path, picture: Picture) -> tuple[Grey32, int] | None:
     """Return the labels of a grey PNG with 2 or 4 bits that does not use its whole scale; None for others.
 
     Decoded, they are spread over 0..255, and look like greys.
@@ -136,9 +137,7 @@ def _few_bits(path: Path, picture: Picture) -> tuple[Float32[ndarray, "height wi
     return (picture.levels[..., 0] > 0).astype(np.float32), 1
 
 
-def _of_levels(
-    grey: Shaped[ndarray, "height width"], *, lossy: bool
-) -> tuple[Float32[ndarray, "height width"], int]:
+def _of_levels(grey: Plane, *, lossy: bool) -> tuple[Grey32, int]:
     top, limit = int(grey.max()), int(np.iinfo(grey.dtype).max)
     if top == 0:
         return np.zeros(grey.shape, dtype=np.float32), 0
@@ -157,7 +156,7 @@ def _of_levels(
     return grey.astype(np.float32) / np.float32(limit), limit
 
 
-def _of_floats(grey: Shaped[ndarray, "height width"]) -> tuple[Float32[ndarray, "height width"], int]:
+def _of_floats(grey: Plane) -> tuple[Grey32, int]:
     low, top = float(grey.min()), float(grey.max())
     if top <= 0.0:
         return np.zeros(grey.shape, dtype=np.float32), 0
@@ -168,7 +167,7 @@ def _of_floats(grey: Shaped[ndarray, "height width"]) -> tuple[Float32[ndarray, 
     return np.clip(grey, 0.0, 1.0).astype(np.float32), 1
 
 
-def _coloured(levels: Shaped[ndarray, "height width 3"], *, lossy: bool) -> Float32[ndarray, "height width"]:
+def _coloured(levels: Shaped[ndarray, "height width 3"], *, lossy: bool) -> Grey32:
     """Return the coverage of an object painted in colour: everything but the colour of the background.
 
     That is black where there is black. One colour over black may have soft edges.
@@ -190,7 +189,7 @@ def _coloured(levels: Shaped[ndarray, "height width 3"], *, lossy: bool) -> Floa
     return (number != background).astype(np.float32)
 
 
-def _palette_labels(path: Path) -> Shaped[ndarray, "height width"] | None:
+def _palette_labels(path: Path) -> Plane | None:
     """Return the indices of a picture with a palette of colours; None for greys and all others."""
     if path.suffix.lower() in LINEAR_SUFFIXES or picture_format(path) not in ("PNG", "TIFF"):
         return None
@@ -226,13 +225,13 @@ def _is_lossy(path: Path) -> bool:
     return known in _LOSSY
 
 
-def _is_inverted(coverage: Float32[ndarray, "height width"]) -> bool:
+def _is_inverted(coverage: Grey32) -> bool:
     """Return whether all around is white and something inside is black."""
     inside = coverage < 0.5
     return bool((_border(coverage) > 0.5).mean() >= BORDER_COVERED and inside.mean() >= LEAST_SHOWN)
 
 
-def _border(values: Shaped[ndarray, "height width"]) -> Shaped[ndarray, " pixels"]:
+def _border(values: Plane) -> Shaped[ndarray, " pixels"]:
     return np.concatenate([values[0], values[-1], values[1:-1, 0], values[1:-1, -1]])
 
 

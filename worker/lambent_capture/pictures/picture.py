@@ -4,10 +4,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from jaxtyping import Float32, Shaped, UInt8
+from jaxtyping import Float32, Shaped
 from numpy import ndarray
 from PIL import Image
 
+from lambent_capture.arrays import Grey32, Levels, Plane, Reduced32, Rgb
 from lambent_capture.pictures.colour_space import ColourSpace
 
 CLIPPED_LEVEL = 252 / 255
@@ -21,9 +22,9 @@ ALL: Part = (slice(None), slice(None))
 class Picture:
     """A decoded picture; only the part that is asked for becomes float."""
 
-    levels: Shaped[ndarray, "height width channels"]
+    levels: Levels
     """One (grey) or three channels: uint8 or uint16, encoded as `space` says, or float32."""
-    alpha: Shaped[ndarray, "height width"] | None
+    alpha: Plane | None
     """Straight alpha of the same kind of number, floats in 0..1; None where everything is opaque."""
     space: ColourSpace
     colour_doubt: str = ""
@@ -44,11 +45,11 @@ class Picture:
         colours = self.space.linear(self.levels[part])
         return np.ascontiguousarray(np.broadcast_to(colours, (*colours.shape[:2], 3)))
 
-    def srgb(self) -> UInt8[ndarray, "height width 3"]:
+    def srgb(self) -> Rgb:
         """Return the picture in 8-bit sRGB, clipped."""
         return self.space.srgb(self.levels)
 
-    def coverage(self, part: Part = ALL) -> Float32[ndarray, "rows columns"]:
+    def coverage(self, part: Part = ALL) -> Reduced32:
         """Return alpha in 0..1, which is 1 where the file has none."""
         if self.alpha is None:
             return np.ones(self.levels[part].shape[:2], dtype=np.float32)
@@ -123,9 +124,7 @@ def shares(levels: Shaped[ndarray, "*shape"]) -> Float32[ndarray, "*shape"]:
     return levels.astype(np.float32) / np.float32(np.iinfo(levels.dtype).max)
 
 
-def box_averaged(
-    values: Float32[ndarray, "height width"], size: tuple[int, int]
-) -> Float32[ndarray, "rows columns"]:
+def box_averaged(values: Grey32, size: tuple[int, int]) -> Reduced32:
     """Return values averaged over the pixels of a picture of `size` (width, height)."""
     if (values.shape[1], values.shape[0]) == size:
         return values

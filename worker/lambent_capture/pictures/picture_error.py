@@ -1,6 +1,7 @@
 """The exception raised by everything that opens pictures."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
 
 
@@ -16,6 +17,21 @@ def reason_of(error: Exception) -> str:
     """Return a library's own words, one line without folders, at most 120 characters."""
     text = str(error).splitlines()[0] if str(error) else type(error).__name__
     return text.replace("\\", "/").rsplit("/", maxsplit=1)[-1][:120]
+
+
+def undecodable(error: Exception) -> PictureError:
+    """Return what to say of a picture that a decoder has failed on; decoders raise many kinds of errors."""
+    return PictureError(
+        "scene.image_broken", f"cannot be decoded ({reason_of(error)}); export or copy it again"
+    )
+
+
+def first_bytes(path: Path, count: int) -> bytes:
+    """Return the beginning of a picture's file; raises `PictureError` where there is none."""
+    if not path.is_file():
+        raise PictureError("scene.file_missing", "does not exist; add it or remove the frame")
+    with path.open("rb") as file:
+        return file.read(count)
 
 
 TOO_LARGE = "scene.image_too_large"

@@ -13,17 +13,18 @@ from pathlib import Path
 
 import imagecodecs
 import numpy as np
-from jaxtyping import Shaped, UInt8
+from jaxtyping import UInt8
 from lambent_core.layouts import RAW_SUFFIXES
 from numpy import ndarray
 from PIL import Image
 
+from lambent_capture.arrays import Grey8, Levels, Plane
 from lambent_capture.pictures.colour_space import LINEAR, SRGB, cmyk_as_rgb, of_profile
 from lambent_capture.pictures.exr_pictures import MAX_EXR_PIXELS, exr_has_alpha, exr_pixels, exr_size
 from lambent_capture.pictures.float_pictures import hdr_pixels, hdr_size
 from lambent_capture.pictures.picture import Picture, turned, undoing
 from lambent_capture.pictures.picture_bytes import description_of_bytes, format_of_bytes
-from lambent_capture.pictures.picture_error import PictureError, reason_of
+from lambent_capture.pictures.picture_error import PictureError, first_bytes, reason_of, undecodable
 from lambent_capture.pictures.picture_statements import MIRRORED, orientation_of, stated_space
 from lambent_capture.pictures.png_header import PngHeader, png_header
 from lambent_capture.pictures.raw_pictures import raw_picture_size, raw_pixels
@@ -105,7 +106,7 @@ def read_picture(path: Path, *, side: int | None = None) -> Picture:
     return picture if side is None else picture.resized(reduced_size(*size, side))
 
 
-def read_levels(path: Path) -> Shaped[ndarray, "height width channels"]:
+def read_levels(path: Path) -> Levels:
     """Return the numbers of a picture that holds no colours (normals, materials), alpha as its last channel.
 
     8- or 16-bit integers or float32, as they are stored. Raises `PictureError` as `read_picture` does.
@@ -164,17 +165,13 @@ def picture_format(path: Path) -> str:
     Programs that copy photographs from telephones name HEIC files .jpg. Raises `PictureError` for anything
     else.
     """
-    if not path.is_file():
-        raise PictureError("scene.file_missing", "does not exist; add it or remove the frame")
-    suffix = path.suffix.lower()
+    start, suffix = first_bytes(path, 32), path.suffix.lower()
     if suffix not in PILLOW_FORMATS:
         raise PictureError(
             "scene.image_format",
             f"has the unsupported suffix {suffix!r}; use JPEG, HEIC, PNG, WebP, AVIF, TIFF, EXR, HDR or a "
             f"camera's raw format",
         )
-    with path.open("rb") as file:
-        start = file.read(32)
     known = format_of_bytes(start)
     if known is None:
         raise PictureError(
@@ -214,10 +211,8 @@ def decode(image: Image.Image) -> None:
     try:
         with _only_bombs_are_errors():
             image.load()
-    except Exception as error:  # Pillow's decoders raise many kinds; each means the same to the owner
-        raise PictureError(
-            "scene.image_broken", f"cannot be decoded ({reason_of(error)}); export or copy it again"
-        ) from error
+    except Exception as error:
+        raise undecodable(error) from error
     if image.size != size:
         raise PictureError(
             "scene.image_broken",
@@ -261,7 +256,7 @@ def _encoded_picture(path: Path, size: tuple[int, int]) -> Picture:
 
 def _eight_bit(
     image: Image.Image, png: PngHeader | None, size: tuple[int, int]
-) -> tuple[UInt8[ndarray, "height width channels"], UInt8[ndarray, "height width"] | None]:
+) -> tuple[UInt8[ndarray, "height width channels"], Grey8 | None]:
     """Return 8-bit levels, one or three channels, and alpha of a decoded picture, reduced to `size`.
 
     Not where a level is a key: those are told apart before anything is averaged.
@@ -296,16 +291,12 @@ def _eight_bit(
     return np.ascontiguousarray(pixels[..., :-1]), np.ascontiguousarray(pixels[..., -1])
 
 
-def _sixteen_bit(
-    path: Path, png: PngHeader
-) -> tuple[Shaped[ndarray, "height width channels"], Shaped[ndarray, "height width"] | None]:
+def _sixteen_bit(path: Path, png: PngHeader) -> tuple[Levels, Plane | None]:
     """Return levels and alpha of a PNG with 16 bits, which Pillow would cut to 8."""
     try:
         pixels = np.asarray(imagecodecs.png_decode(path.read_bytes()))
-    except Exception as error:  # as in `decode`
-        raise PictureError(
-            "scene.image_broken", f"cannot be decoded ({reason_of(error)}); export or copy it again"
-        ) from error
+    except Exception as error:
+        raise undecodable(error) from error
     pixels = pixels.reshape(*pixels.shape[:2], -1)
     colours = 1 if png.colour_type in (0, 4) else 3
     alpha = np.ascontiguousarray(pixels[..., colours]) if pixels.shape[-1] > colours else None
@@ -316,9 +307,7 @@ def _png_header(path: Path, image: Image.Image) -> PngHeader:
     try:
         return png_header(path)
     except ValueError as error:
-        raise PictureError(
-            "scene.image_broken", f"cannot be decoded ({reason_of(error)}); export or copy it again"
-        ) from error
+        raise undecodable(error) from error
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from jaxtyping import Float32
 from lambent_core.errors import pip_install
 from numpy import ndarray
 
+from lambent_capture.arrays import Colours32
 from lambent_capture.pictures.picture_error import PictureError, reason_of
 
 _STACKED = "Stack"
@@ -40,7 +41,7 @@ def raw_picture_size(path: Path) -> tuple[int, int]:
         return (sizes.width + 1) // 2, (sizes.height + 1) // 2
 
 
-def raw_pixels(path: Path) -> Float32[ndarray, "height width 3"]:
+def raw_pixels(path: Path) -> Colours32:
     """Return linear Rec. 709 colours in 0..1, where 1 is the end of the sensor's scale.
 
     Raises `PictureError` as `raw_picture_size` does, and for pixels that cannot be decoded.
@@ -135,7 +136,7 @@ def _said(error: Exception) -> str:
     return said.decode(errors="replace") if isinstance(said, bytes) else reason_of(error)
 
 
-def _halved(colours: Float32[ndarray, "rows columns 3"]) -> Float32[ndarray, "height width 3"]:
+def _halved(colours: Float32[ndarray, "rows columns 3"]) -> Colours32:
     """Return the mean of each 2 x 2 pixels; a last odd row or column counts twice."""
     padded = np.pad(colours, ((0, colours.shape[0] % 2), (0, colours.shape[1] % 2), (0, 0)), mode="edge")
     rows = 0.5 * (padded[0::2] + padded[1::2])

@@ -9,7 +9,8 @@ from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 from scipy import sparse
 
-from lambent_capture.pictures.lens import distorted
+from lambent_capture.arrays import Channels32
+from lambent_capture.pictures.lens import seen_by_lens
 
 ROWS_AT_ONCE = 256
 FLAGGED_SHARE = 0.02
@@ -35,11 +36,7 @@ def area_weights(source: int, target: int) -> Float64[ndarray, "target source"]:
 
 
 def resampled(
-    values: Float32[ndarray, "height width channels"],
-    camera: scene_pb2.Camera,
-    size: tuple[int, int],
-    *,
-    by_last: bool = False,
+    values: Channels32, camera: scene_pb2.Camera, size: tuple[int, int], *, by_last: bool = False
 ) -> Float32[ndarray, "rows columns channels"]:
     """Return a picture as the pinhole `camera` shows it, with `size` = (width, height) pixels.
 
@@ -99,7 +96,7 @@ def resampled_weighted(
 
 
 def averaged(
-    values: Float32[ndarray, "height width channels"], size: tuple[int, int], *, by_last: bool = False
+    values: Channels32, size: tuple[int, int], *, by_last: bool = False
 ) -> Float32[ndarray, "rows columns channels"]:
     """Return a picture with `size` = (width, height) pixels, each the mean over its area.
 
@@ -126,36 +123,30 @@ def averaged(
     return result
 
 
-def _multiplied(
-    values: Float32[ndarray, "height width channels"],
-) -> Float32[ndarray, "height width channels"]:
+def _multiplied(values: Channels32) -> Channels32:
     """Return a picture whose last channel has been multiplied into the others."""
     return np.concatenate([values[..., :-1] * values[..., -1:], values[..., -1:]], axis=-1)
 
 
 def _straightened(
-    values: Float32[ndarray, "height width channels"], camera: scene_pb2.Camera, size: tuple[int, int]
+    values: Channels32, camera: scene_pb2.Camera, size: tuple[int, int]
 ) -> Float32[ndarray, "rows columns channels"]:
     """Return the pinhole's picture, `size` = (width, height), looked up between the lens' pixels."""
     width, height = size
     lens = camera.lens
-    x = ((np.arange(width) + 0.5) * camera.width / width - camera.centre_x) / camera.focal_x
+    across = (np.arange(width) + 0.5) * camera.width / width
     result = np.empty((height, width, values.shape[2]), dtype=np.float32)
     for start in range(0, height, ROWS_AT_ONCE):
         rows = np.arange(start, min(start + ROWS_AT_ONCE, height)) + 0.5
-        y = (rows * camera.height / height - camera.centre_y) / camera.focal_y
-        grid_x, grid_y = np.meshgrid(x, y)
-        seen_x, seen_y = distorted(grid_x, grid_y, np.array(lens.distortion))
-        columns = (lens.focal_x * seen_x + lens.centre_x) * values.shape[1] / lens.width - 0.5
-        lines = (lens.focal_y * seen_y + lens.centre_y) * values.shape[0] / lens.height - 0.5
+        seen_x, seen_y = seen_by_lens(camera, across, rows * camera.height / height)
+        columns = seen_x * values.shape[1] / lens.width - 0.5
+        lines = seen_y * values.shape[0] / lens.height - 0.5
         result[start : start + len(rows)] = _bilinear(values, columns, lines)
     return result
 
 
 def _bilinear(
-    values: Float32[ndarray, "height width channels"],
-    columns: Float[ndarray, "rows count"],
-    lines: Float[ndarray, "rows count"],
+    values: Channels32, columns: Float[ndarray, "rows count"], lines: Float[ndarray, "rows count"]
 ) -> Float32[ndarray, "rows count channels"]:
     height, width = values.shape[:2]
     columns, lines = np.clip(columns, 0.0, width - 1.0), np.clip(lines, 0.0, height - 1.0)

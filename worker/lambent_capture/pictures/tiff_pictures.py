@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 import tifffile
-from jaxtyping import Shaped
-from numpy import ndarray
 
-from lambent_capture.pictures.picture_error import PictureError, reason_of
+from lambent_capture.arrays import Levels, Plane
+from lambent_capture.pictures.picture_error import PictureError, reason_of, undecodable
 
 _ASSOCIATED = 1
 """ExtraSamples: alpha that colours are multiplied by. Source: TIFF 6.0, section 18."""
@@ -36,9 +35,7 @@ def deep_tiff_has_alpha(path: Path) -> bool:
     return bool(_page(path).extrasamples)
 
 
-def deep_tiff_pixels(
-    path: Path,
-) -> tuple[Shaped[ndarray, "height width channels"], Shaped[ndarray, "height width"] | None, bytes]:
+def deep_tiff_pixels(path: Path) -> tuple[Levels, Plane | None, bytes]:
     """Return levels (uint16 or float32; one or three channels), straight alpha, and the ICC profile or b"".
 
     Colours that are multiplied by alpha are divided by it. Raises `PictureError`.
@@ -55,9 +52,7 @@ def deep_tiff_pixels(
         with tifffile.TiffFile(path) as file:
             pixels = file.pages[0].asarray()
     except Exception as error:  # decoders of many compressions raise many kinds
-        raise PictureError(
-            "scene.image_broken", f"cannot be decoded ({reason_of(error)}); export or copy it again"
-        ) from error
+        raise undecodable(error) from error
     if page.planarconfig == 2 and pixels.ndim == 3:
         pixels = np.moveaxis(pixels, 0, -1)
     pixels = pixels.astype(np.float32) if kind.kind == "f" else pixels
@@ -79,9 +74,7 @@ def deep_tiff_pixels(
     return np.ascontiguousarray(levels), np.ascontiguousarray(alpha), bytes(page.iccprofile or b"")
 
 
-def _divided(
-    levels: Shaped[ndarray, "height width channels"], alpha: Shaped[ndarray, "height width"]
-) -> Shaped[ndarray, "height width channels"]:
+def _divided(levels: Levels, alpha: Plane) -> Levels:
     full = 1.0 if levels.dtype.kind == "f" else float(np.iinfo(levels.dtype).max)
     share = np.maximum(alpha.astype(np.float64) / full, 1e-6)[..., None]
     divided = levels / share

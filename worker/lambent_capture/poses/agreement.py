@@ -13,6 +13,8 @@ import pycolmap
 from jaxtyping import Float64
 from numpy import ndarray
 
+from lambent_capture.arrays import Rotation64
+
 AGREE_PX = 4.0
 """Work pixels of Sampson error up to which a match agrees with the cameras; as in verification."""
 MIN_SHARE = 0.5
@@ -68,9 +70,7 @@ def _agreements(model: Any, database: Path) -> dict[int, dict[int, tuple[int, in
 
 
 def _sampson(
-    here: Float64[ndarray, "matches 2"],
-    there: Float64[ndarray, "matches 2"],
-    essential: Float64[ndarray, "3 3"],
+    here: Float64[ndarray, "matches 2"], there: Float64[ndarray, "matches 2"], essential: Rotation64
 ) -> Float64[ndarray, " matches"]:
     """Return the distance of matches from agreeing with an essential matrix, to first order.
 

@@ -11,11 +11,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray
 from PIL import Image
 
-from lambent_capture.pictures.picture_error import PictureError, reason_of
+from lambent_capture.arrays import Grey8, Region
+from lambent_capture.pictures.picture_error import undecodable
 from lambent_capture.pictures.picture_statements import MIRRORED, orientation_of
 from lambent_capture.pictures.pictures import (
     PILLOW_FORMATS,
@@ -68,9 +69,7 @@ class Features:
             return cls(points=stored["points"], descriptors=stored["descriptors"])
 
 
-def find_features(
-    path: Path, max_side: int, max_features: int, covered: Bool[ndarray, "height width"] | None = None
-) -> Features:
+def find_features(path: Path, max_side: int, max_features: int, covered: Region | None = None) -> Features:
     """Return the clearest points of a picture, those on `covered` pixels only where that is given.
 
     With `covered` the picture is cropped to it before it is reduced to `max_side`, so that a small object
@@ -102,7 +101,7 @@ def work_scale(width: int, height: int, max_side: int) -> float:
     return min(1.0, max_side / max(width, height))
 
 
-def covered_box(covered: Bool[ndarray, "height width"]) -> Box | None:
+def covered_box(covered: Region) -> Box | None:
     """Return the box around the covered pixels with some margin, or None where there are none."""
     rows, columns = np.flatnonzero(covered.any(axis=1)), np.flatnonzero(covered.any(axis=0))
     if not len(rows):
@@ -117,7 +116,7 @@ def covered_box(covered: Bool[ndarray, "height width"]) -> Box | None:
     )
 
 
-def grey_picture(path: Path, box: Box, max_side: int) -> tuple[UInt8[ndarray, "height width"], float]:
+def grey_picture(path: Path, box: Box, max_side: int) -> tuple[Grey8, float]:
     """Return a part of a picture in grey, reduced to `max_side`, and how much it was reduced (at most 1).
 
     JPEG is decoded at half, a quarter or an eighth of its size where that is enough: 24 megapixels then take
@@ -157,13 +156,11 @@ def _grey(path: Path, scale: float) -> Image.Image:
 def _decoded(image: Image.Image) -> Image.Image:
     try:
         return image.convert("L")
-    except Exception as error:  # Pillow's decoders raise many kinds; each means the same to the owner
-        raise PictureError(
-            "scene.image_broken", f"cannot be decoded ({reason_of(error)}); export or copy it again"
-        ) from error
+    except Exception as error:
+        raise undecodable(error) from error
 
 
-def _sift(grey: UInt8[ndarray, "height width"], max_features: int) -> Features:
+def _sift(grey: Grey8, max_features: int) -> Features:
     """Return points in pixels of `grey`. Sources: Lowe 2004; Arandjelovic and Zisserman 2012 (RootSIFT)."""
     finder: Any = cv2.SIFT.create(
         nfeatures=max_features, contrastThreshold=CONTRAST, enable_precise_upscale=True

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 import pycolmap
-from jaxtyping import Float64
-from numpy import ndarray
 
+from lambent_capture.arrays import Pose64, Rotation64
 from lambent_capture.poses.features import work_scale
 from lambent_capture.poses.shots import Shot
 
@@ -55,13 +54,13 @@ def full_size_model(model: Any, names: Sequence[str], shots: Sequence[Shot], max
     return full
 
 
-def turn(model: Any, rotation: Float64[ndarray, "3 3"]) -> None:
+def turn(model: Any, rotation: Rotation64) -> None:
     """Turn the world of a model."""
     matrix = np.concatenate([rotation, np.zeros((3, 1))], axis=1)
     model.transform(pycolmap.Sim3d(matrix))
 
 
-def camera_poses(model: Any) -> dict[str, Float64[ndarray, "4 4"]]:
+def camera_poses(model: Any) -> dict[str, Pose64]:
     """Return camera-to-world of each registered image by name; axes x right, y down, z forward."""
     poses = {}
     for identity in model.reg_image_ids():

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from jaxtyping import Bool, Float32
 from lambent_proto.v1 import scene_pb2
-from numpy import ndarray
 
+from lambent_capture.arrays import Grey32, Region
 from lambent_capture.layouts.mask_folder import attach_masks, masks_beside
 from lambent_capture.layouts.photographs import folder_of_pictures
 from lambent_capture.layouts.picture_files import MIN_PHOTOGRAPHS, photographs_in
@@ -43,7 +42,7 @@ class Photographs:
         """Return the file of a photograph."""
         return self.folder / name
 
-    def coverage(self, name: str) -> Float32[ndarray, "height width"]:
+    def coverage(self, name: str) -> Grey32:
         """Return what its mask or its alpha says of a photograph's stored pixels, 0..1.
 
         Raises `PictureError`.
@@ -89,7 +88,7 @@ def find_photographs(folder: Path, masks_dir: Path | None, problems: Problems) -
     return Photographs(folder=root, names=names, masks=masks, cut_out=bool(cut_out) and all(cut_out.values()))
 
 
-def covered_pixels(photographs: Photographs, name: str) -> Bool[ndarray, "height width"]:
+def covered_pixels(photographs: Photographs, name: str) -> Region:
     """Return which stored pixels of a photograph show the object, as its mask or alpha says.
 
     Raises `PictureError` where the mask cannot be read, has another size, or shows nothing.

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy import ndarray
 
+from lambent_capture.arrays import Vector64
 from lambent_capture.scenes.world import common_up
 
 AGREE = np.sin(np.radians(20.0))
@@ -18,7 +19,7 @@ MIN_SPREAD = 0.05
 
 def up_direction(
     camera_to_world: Float64[ndarray, "cameras 4 4"], up_turns: Sequence[int]
-) -> Float64[ndarray, "3"] | None:
+) -> Vector64 | None:
     """Return the unit direction that is up, or None where the cameras do not agree on one.
 
     Camera axes are x right, y down, z forward in the stored picture; `up_turns` are the quarter turns
@@ -55,7 +56,7 @@ def turned_upright(
 
 def _square_to(
     across: Float64[ndarray, "cameras 3"], upward: Float64[ndarray, "cameras 3"]
-) -> Float64[ndarray, "3"] | None:
+) -> Vector64 | None:
     """Return the direction square to all of `across` and nearest to `upward`, or None where it is not one."""
     if len(across) < 2:
         return None

@@ -4,10 +4,17 @@ from dataclasses import dataclass, field
 
 from lambent_proto.v1 import scene_pb2
 
+from lambent_capture.pictures.pictures import encoding_of
 from lambent_capture.scenes.exposure import Exposure
 
 LIGHT = "capture"
 """Name of the only light, for layouts that have none."""
+
+
+def training_frame(picture: str, camera: scene_pb2.Camera | None = None) -> scene_pb2.Frame:
+    """Return a frame of one photograph under the only light, which has no name yet."""
+    image = scene_pb2.Image(light=LIGHT, path=picture, encoding=encoding_of(picture))
+    return scene_pb2.Frame(split=scene_pb2.SPLIT_TRAIN, camera=camera, images=[image])
 
 
 @dataclass(kw_only=True, slots=True)

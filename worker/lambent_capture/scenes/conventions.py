@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy import ndarray
 
+from lambent_capture.arrays import Pose64
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Convention:
@@ -13,7 +15,7 @@ class Convention:
 
     advice: str
     """Advice, as the end of a sentence."""
-    camera_axes: Float64[ndarray, "4 4"]
+    camera_axes: Pose64
     """Multiplied from the right."""
     is_world_to_camera: bool = False
     """Inverted before that."""
@@ -23,7 +25,7 @@ class Convention:
         return (np.linalg.inv(poses) if self.is_world_to_camera else poses) @ self.camera_axes
 
 
-def _turned(*rows: tuple[float, float, float]) -> Float64[ndarray, "4 4"]:
+def _turned(*rows: tuple[float, float, float]) -> Pose64:
     matrix = np.eye(4)
     matrix[:3, :3] = rows
     return matrix

@@ -7,11 +7,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
-from lambent_capture.pictures.lens import distorted
+from lambent_capture.arrays import Grey32, Region
+from lambent_capture.pictures.lens import seen_by_lens
 
 Box = tuple[int, int, int, int]
 
@@ -51,7 +52,7 @@ def whole_frame(camera: scene_pb2.Camera) -> Crop:
     return Crop(camera, (0, 0, camera.width, camera.height), (0, 0, stored.width, stored.height))
 
 
-def object_crop(camera: scene_pb2.Camera, coverages: Iterable[Float32[ndarray, "height width"]]) -> Crop:
+def object_crop(camera: scene_pb2.Camera, coverages: Iterable[Grey32]) -> Crop:
     """Return the crop to what any of `coverages` covers, with a margin; all of the frame where none does.
 
     They have the size of the files, and are looked at one after the other.
@@ -64,7 +65,7 @@ def object_crop(camera: scene_pb2.Camera, coverages: Iterable[Float32[ndarray, "
     return whole_frame(camera) if box is None else cropped(camera, with_margin(box, camera))
 
 
-def covered_box(coverage: Float32[ndarray, "height width"], camera: scene_pb2.Camera) -> Box | None:
+def covered_box(coverage: Grey32, camera: scene_pb2.Camera) -> Box | None:
     """Return the box around covered pixels as the frame's pinhole camera shows them, or None without any.
 
     `coverage` has the size of the files. Through a lens the box may be too large by two pixels of a picture
@@ -114,10 +115,8 @@ def cropped(camera: scene_pb2.Camera, box: Box) -> Crop:
 def _looked_up(camera: scene_pb2.Camera) -> Box:
     """Return the part of the lens's picture that `camera` looks up; its lens is still that of the file."""
     lens = camera.lens
-    x = (np.linspace(0.0, camera.width, _SAMPLES) - camera.centre_x) / camera.focal_x
-    y = (np.linspace(0.0, camera.height, _SAMPLES) - camera.centre_y) / camera.focal_y
-    seen_x, seen_y = distorted(*np.meshgrid(x, y), np.array(lens.distortion))
-    columns, rows = lens.focal_x * seen_x + lens.centre_x, lens.focal_y * seen_y + lens.centre_y
+    sides = (np.linspace(0.0, side, _SAMPLES) for side in (camera.width, camera.height))
+    columns, rows = seen_by_lens(camera, *sides)
     # Pictures are reduced before they are straightened; the edge has to hold in reduced pixels too.
     edge_x, edge_y = (_EDGE + _EDGE_SHARE * float(np.ptp(places)) for places in (columns, rows))
     return (
@@ -128,18 +127,14 @@ def _looked_up(camera: scene_pb2.Camera) -> Box:
     )
 
 
-def _straight_box(covered: Bool[ndarray, "height width"], camera: scene_pb2.Camera) -> Box | None:
+def _straight_box(covered: Region, camera: scene_pb2.Camera) -> Box | None:
     """Return the box of a lens's covered pixels in the pinhole's picture, to one block of pixels."""
     block = -(-max(covered.shape) // LENS_SIDE)
     blocks = np.logical_or.reduceat(covered, np.arange(0, covered.shape[0], block), axis=0)
     blocks = np.logical_or.reduceat(blocks, np.arange(0, covered.shape[1], block), axis=1)
-    lens = camera.lens
-    x = (np.arange(0.5 * block, camera.width, block) - camera.centre_x) / camera.focal_x
-    y = (np.arange(0.5 * block, camera.height, block) - camera.centre_y) / camera.focal_y
-    seen_x, seen_y = distorted(*np.meshgrid(x, y), np.array(lens.distortion))
-    column = ((lens.focal_x * seen_x + lens.centre_x) / block).astype(int).clip(0, blocks.shape[1] - 1)
-    row = ((lens.focal_y * seen_y + lens.centre_y) / block).astype(int).clip(0, blocks.shape[0] - 1)
-    straight = blocks[row, column]
+    sides = (np.arange(0.5 * block, side, block) for side in (camera.width, camera.height))
+    column, row = ((seen / block).astype(int) for seen in seen_by_lens(camera, *sides))
+    straight = blocks[row.clip(0, blocks.shape[0] - 1), column.clip(0, blocks.shape[1] - 1)]
     columns, rows = _extent(straight.any(axis=0)), _extent(straight.any(axis=1))
     if columns is None or rows is None:
         return None

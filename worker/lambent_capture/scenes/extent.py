@@ -5,6 +5,7 @@ from jaxtyping import Float64
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
+from lambent_capture.arrays import Vector64
 from lambent_capture.scenes.capture import Capture
 
 HELD_OUT_EVERY = 8
@@ -12,7 +13,7 @@ HELD_OUT_EVERY = 8
 
 def looked_at_point(
     positions: Float64[ndarray, "cameras 3"], directions: Float64[ndarray, "cameras 3"]
-) -> Float64[ndarray, "3"] | None:
+) -> Vector64 | None:
     """Return the point nearest to all optical axes (least squares), or None where the axes are parallel.
 
     `positions` are in scene units, `directions` are unit vectors along which the cameras look.
@@ -24,7 +25,7 @@ def looked_at_point(
     return np.linalg.solve(total, (projectors @ positions[:, :, None]).sum(axis=0)[:, 0])
 
 
-def stand_apart(positions: Float64[ndarray, "cameras 3"], centre: Float64[ndarray, "3"]) -> bool:
+def stand_apart(positions: Float64[ndarray, "cameras 3"], centre: Vector64) -> bool:
     """Return whether most cameras have different places, seen from the point they look at."""
     from_middle = np.linalg.norm(positions - np.median(positions, axis=0), axis=-1)
     return bool(np.median(from_middle) > 0.1 * np.median(np.linalg.norm(positions - centre, axis=-1)))
@@ -80,9 +81,7 @@ def set_extent(manifest: scene_pb2.SceneManifest, capture: Capture) -> None:
     manifest.secondary_rays.near, manifest.secondary_rays.far = 0.025 * reach, reach
 
 
-def set_fitted_box(
-    manifest: scene_pb2.SceneManifest, low: Float64[ndarray, "3"], high: Float64[ndarray, "3"]
-) -> None:
+def set_fitted_box(manifest: scene_pb2.SceneManifest, low: Vector64, high: Vector64) -> None:
     """Replace the bounds by a box around the object; secondary rays get the paper's share of its size.
 
     With h half the longest side they run from h/30 to 4 h/3: 0.05 to 2 for an object of the published scenes'

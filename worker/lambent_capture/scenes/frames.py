@@ -89,6 +89,14 @@ def listed(names: list[str]) -> str:
     return ", ".join(names[:SHOWN]) + more
 
 
+def name_frames(frames: list[scene_pb2.Frame]) -> dict[str, str]:
+    """Name frames after their first pictures, as `frame_names` does, and return the names by picture."""
+    names = frame_names([frame.images[0].path for frame in frames])
+    for frame in frames:
+        frame.name = names[frame.images[0].path]
+    return names
+
+
 def frame_names(paths: list[str]) -> dict[str, str]:
     """Return a name for each picture: its path without suffix and without the folders all of them share."""
     folders = [PurePosixPath(path).parent.parts for path in paths]

@@ -8,9 +8,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
-from numpy import ndarray
 
+from lambent_capture.arrays import Pose64
 from lambent_capture.problems import Problems
 from lambent_capture.scenes.links import link_out, note_links
 
@@ -176,7 +175,7 @@ def focal_from_angle(
     return 0.5 * width / math.tan(0.5 * radians)
 
 
-def pose_from_numbers(value: object, subject: str, problems: Problems) -> Float64[ndarray, "4 4"] | None:
+def pose_from_numbers(value: object, subject: str, problems: Problems) -> Pose64 | None:
     """Return a camera-to-world matrix from 4 x 4 or 3 x 4 numbers, or None after noting what is wrong.
 
     The rotation part is cleaned of rounding by projecting it on the nearest rotation.
@@ -207,16 +206,14 @@ def pose_from_numbers(value: object, subject: str, problems: Problems) -> Float6
     return _rigid(matrix, subject, problems)
 
 
-def _normalized(matrix: Float64[ndarray, "4 4"]) -> Float64[ndarray, "4 4"]:
+def _normalized(matrix: Pose64) -> Pose64:
     """Return a matrix of homogeneous coordinates with 1 at its end: some programs scale all of it."""
     end = matrix[3, 3]
     is_scaled = np.isfinite(matrix).all() and not matrix[3, :3].any() and 1e-9 < end < 1e9
     return matrix / end if is_scaled and end != 1.0 else matrix
 
 
-def pose_from_world_to_camera(
-    value: object, subject: str, problems: Problems
-) -> Float64[ndarray, "4 4"] | None:
+def pose_from_world_to_camera(value: object, subject: str, problems: Problems) -> Pose64 | None:
     """Return the camera-to-world matrix with our camera axes of a world-to-camera matrix with OpenCV's.
 
     `value` has 3 x 4 or 4 x 4 numbers; OpenCV's axes are x right, y down, z forward. None after noting in
@@ -226,9 +223,7 @@ def pose_from_world_to_camera(
     return None if pose is None else np.linalg.inv(pose) @ OPENGL_FROM_OPENCV
 
 
-def _rigid(
-    matrix: Float64[ndarray, "4 4"], subject: str, problems: Problems
-) -> Float64[ndarray, "4 4"] | None:
+def _rigid(matrix: Pose64, subject: str, problems: Problems) -> Pose64 | None:
     rotation = matrix[:3, :3]
     left, scale, right = np.linalg.svd(rotation)
     if scale[-1] < 1e-6:

@@ -1,13 +1,15 @@
 """Checks whether the cameras of a capture can see a common object."""
 
-import numpy as np
-from jaxtyping import Float64
-from lambent_proto.v1 import scene_pb2
-from numpy import ndarray
+from dataclasses import replace
 
+import numpy as np
+from lambent_proto.v1 import scene_pb2
+
+from lambent_capture.arrays import Pose64, Vector64
 from lambent_capture.problems import Problems
 from lambent_capture.scenes.conventions import CONVENTIONS
 from lambent_capture.scenes.extent import camera_axes, looked_at_point, stand_apart
+from lambent_capture.scenes.picture_camera import PictureCamera
 
 MIN_TRAIN_FRAMES = 3
 
@@ -63,7 +65,7 @@ def _fitting_convention(frames: list[scene_pb2.Frame]) -> str:
 
 
 def _check_sight(
-    frames: list[scene_pb2.Frame], centre: Float64[ndarray, "3"], problems: Problems, *, found_here: bool
+    frames: list[scene_pb2.Frame], centre: Vector64, problems: Problems, *, found_here: bool
 ) -> None:
     poses = np.array([frame.camera.camera_to_world for frame in frames]).reshape(-1, 4, 4)
     sights = [_sight(frame.camera, pose, centre) for frame, pose in zip(frames, poses, strict=True)]
@@ -99,14 +101,9 @@ def _check_sight(
         )
 
 
-def _sight(
-    camera: scene_pb2.Camera, pose: Float64[ndarray, "4 4"], point: Float64[ndarray, "3"]
-) -> tuple[float, bool]:
+def _sight(camera: scene_pb2.Camera, pose: Pose64, point: Vector64) -> tuple[float, bool]:
     """Return the depth of a point in front of a camera (scene units) and whether the picture shows it."""
-    x, y, z = pose[:3, :3].T @ (point - pose[:3, 3])
-    depth = -z
-    if depth <= 0.0:
-        return depth, False
-    column = camera.centre_x + camera.focal_x * x / depth
-    row = camera.centre_y - camera.focal_y * y / depth
-    return depth, bool(0.0 <= column <= camera.width and 0.0 <= row <= camera.height)
+    seen = replace(PictureCamera.of_pinhole(camera), camera_to_world=pose)
+    (column,), (row,), (depth,) = seen.project(point[None])
+    shown = depth > 0.0 and 0.0 <= column <= camera.width and 0.0 <= row <= camera.height
+    return depth, bool(shown)

@@ -8,13 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int
+from jaxtyping import Bool, Float64
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 from scipy.ndimage import maximum_filter
 
+from lambent_capture.arrays import Grey, Points64, Region, Vector64
 from lambent_capture.scenes.conventions import CONVENTIONS, Convention
 from lambent_capture.scenes.extent import looked_at_point, stand_apart
+from lambent_capture.scenes.picture_camera import PictureCamera
 
 MASK_SIDE = 96
 """Longer side of the masks used here, pixels."""
@@ -36,49 +38,39 @@ SINGLE_AGREEMENT = 0.95
 """The same for the worst single mask."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Silhouette:
-    """The object's silhouette in one camera."""
+    """The part of a picture that shows the object."""
 
-    name: str
-    pose: Float64[ndarray, "4 4"]
-    """Camera to world; camera axes x right, y up, looking along -z."""
-    focal: Float64[ndarray, "2"]
-    """Pixels of the mask."""
-    centre: Float64[ndarray, "2"]
-    """Column and row of the optical axis in the mask."""
-    mask: Bool[ndarray, "height width"]
+    camera: PictureCamera
+    """In pixels of `mask`."""
+    mask: Region
+    name: str = ""
+    """Of the frame."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hull:
     """Grid points inside all silhouettes, scene units."""
 
-    points: Float64[ndarray, "points 3"]
-    spacing: Float64[ndarray, "3"]
+    points: Points64
+    spacing: Vector64
     """Distance between neighbours."""
     open_low: Bool[ndarray, "3"]
     """Sides on which it reaches the border of the searched volume, so that it may be larger."""
     open_high: Bool[ndarray, "3"]
 
     @property
-    def box(self) -> tuple[Float64[ndarray, "3"], Float64[ndarray, "3"]]:
+    def box(self) -> tuple[Vector64, Vector64]:
         """Return the corners of the box around all cells."""
         return self.points.min(axis=0) - 0.5 * self.spacing, self.points.max(axis=0) + 0.5 * self.spacing
 
 
-def silhouette_of(frame: scene_pb2.Frame, coverage: Float[ndarray, "height width"]) -> Silhouette:
+def silhouette_of(frame: scene_pb2.Frame, coverage: Grey) -> Silhouette:
     """Return a frame's silhouette; `coverage` is that of the pinhole's whole picture, at any size."""
-    camera = frame.camera
     height, width = coverage.shape
-    scale = np.array([width / camera.width, height / camera.height])
-    return Silhouette(
-        name=frame.name,
-        pose=np.array(camera.camera_to_world).reshape(4, 4),
-        focal=scale * [camera.focal_x, camera.focal_y],
-        centre=scale * [camera.centre_x, camera.centre_y],
-        mask=coverage > INSIDE,
-    )
+    camera = PictureCamera.of_pinhole(frame.camera).resized(width, height)
+    return Silhouette(camera, coverage > INSIDE, frame.name)
 
 
 def carve(views: Sequence[Silhouette], one_may_differ_from: int = ONE_MAY_DIFFER_FROM) -> Hull | None:
@@ -90,8 +82,8 @@ def carve(views: Sequence[Silhouette], one_may_differ_from: int = ONE_MAY_DIFFER
     The first grid reaches 0.6 times the distance of the cameras to each side of the point they look at; the
     second one covers what is left, so its points are as fine as the object allows.
     """
-    positions = np.stack([view.pose[:3, 3] for view in views])
-    centre = looked_at_point(positions, -np.stack([view.pose[:3, 2] for view in views]))
+    positions = np.stack([view.camera.position for view in views])
+    centre = looked_at_point(positions, -np.stack([view.camera.camera_to_world[:3, 2] for view in views]))
     if centre is None:
         return None
     reach = START * float(np.median(np.linalg.norm(positions - centre, axis=-1)))
@@ -111,11 +103,11 @@ def explained(views: Sequence[Silhouette], hull: Hull | None) -> Float64[ndarray
         return np.zeros(len(views))
     shares = []
     for view in views:
-        seen, column, row, distance = _project(view, hull.points)
+        shown, index, depth = view.camera.pixels(hull.points)
         covered = np.zeros(view.mask.shape, dtype=bool)
-        covered[row[seen], column[seen]] = True
-        if seen.any():
-            covered = maximum_filter(covered, _footprint(view, hull.spacing, float(distance[seen].min())))
+        covered.flat[index[shown]] = True
+        if shown.any():
+            covered = maximum_filter(covered, _footprint(view, hull.spacing, float(depth[shown].min())))
         shares.append((covered & view.mask).sum() / max(int(view.mask.sum()), 1))
     return np.array(shares)
 
@@ -125,7 +117,7 @@ def other_convention(views: Sequence[Silhouette], better_than: float) -> Convent
 
     It must explain every mask but for noise, and on average more than the share `better_than`.
     """
-    poses = np.stack([view.pose for view in views])
+    poses = np.stack([view.camera.camera_to_world for view in views])
     best: Convention | None = None
     for convention in CONVENTIONS:
         applied = convention.applied(poses)
@@ -133,7 +125,10 @@ def other_convention(views: Sequence[Silhouette], better_than: float) -> Convent
         # Cameras on one spot would explain anything.
         if centre is None or not stand_apart(applied[:, :3, 3], centre):
             continue
-        turned = [replace(v, pose=p) for v, p in zip(views, applied, strict=True)]
+        turned = [
+            replace(view, camera=replace(view.camera, camera_to_world=pose))
+            for view, pose in zip(views, applied, strict=True)
+        ]
         shares = explained(turned, carve(turned))
         if (
             np.median(shares) >= AGREEMENT
@@ -145,11 +140,7 @@ def other_convention(views: Sequence[Silhouette], better_than: float) -> Convent
 
 
 def _carved(
-    views: Sequence[Silhouette],
-    low: Float64[ndarray, "3"],
-    high: Float64[ndarray, "3"],
-    size: int,
-    one_may_differ_from: int,
+    views: Sequence[Silhouette], low: Vector64, high: Vector64, size: int, one_may_differ_from: int
 ) -> Hull | None:
     spacing = (high - low) / size
     axes = [low[i] + (np.arange(size) + 0.5) * spacing[i] for i in range(3)]
@@ -157,13 +148,13 @@ def _carved(
     num_seen = np.zeros(len(points), dtype=np.int32)
     num_outside = np.zeros(len(points), dtype=np.int32)
     for view in views:
-        seen, column, row, distance = _project(view, points)
-        if not seen.any():
+        shown, index, depth = view.camera.pixels(points)
+        if not shown.any():
             continue
         # Widened by the size of a cell, so that nothing thinner than a cell is lost.
-        mask = maximum_filter(view.mask, _footprint(view, spacing, float(np.median(distance[seen]))))
-        num_seen += seen
-        num_outside += seen & ~mask[row, column]
+        mask = maximum_filter(view.mask, _footprint(view, spacing, float(np.median(depth[shown]))))
+        num_seen += shown
+        num_outside += shown & ~mask.ravel()[index]
     allowed = np.where(num_seen >= one_may_differ_from, np.maximum(1.0, OUTSIDE_SHARE * num_seen), 0.0)
     kept = (num_seen >= max(3.0, LEAST_SEEN * len(views))) & (num_outside <= allowed)
     if not kept.any():
@@ -172,28 +163,7 @@ def _carved(
     return Hull(points=points[kept], spacing=spacing, open_low=closed, open_high=closed)
 
 
-def _footprint(view: Silhouette, spacing: Float64[ndarray, "3"], distance: float) -> int:
+def _footprint(view: Silhouette, spacing: Vector64, distance: float) -> int:
     """Return the width of the square of pixels that a cell at this distance fits in, an odd number."""
-    pixels = float(np.linalg.norm(spacing)) * float(view.focal.max()) / max(distance, 1e-12)
+    pixels = float(np.linalg.norm(spacing)) * max(view.camera.focal) / max(distance, 1e-12)
     return min(2 * int(np.ceil(0.5 * pixels)) + 1, 2 * max(view.mask.shape) + 1)
-
-
-def _project(
-    view: Silhouette, points: Float64[ndarray, "points 3"]
-) -> tuple[
-    Bool[ndarray, " points"], Int[ndarray, " points"], Int[ndarray, " points"], Float64[ndarray, " points"]
-]:
-    """Return which points the picture shows, their column and row there (0 elsewhere), and their depth."""
-    x, y, z = ((points - view.pose[:3, 3]) @ view.pose[:3, :3]).T
-    in_front = z < -1e-9
-    depth = np.where(in_front, -z, 1.0)
-    column = view.centre[0] + view.focal[0] * x / depth
-    row = view.centre[1] - view.focal[1] * y / depth
-    height, width = view.mask.shape
-    seen = in_front & (column >= 0.0) & (column < width) & (row >= 0.0) & (row < height)
-    return (
-        seen,
-        np.where(seen, column, 0.0).astype(np.int64),
-        np.where(seen, row, 0.0).astype(np.int64),
-        depth,
-    )

@@ -10,6 +10,7 @@ from lambent_core.layouts import FIXED_WORLDS
 from lambent_proto.v1 import scene_pb2
 from numpy import ndarray
 
+from lambent_capture.arrays import Pose64, Rotation64, Vector64
 from lambent_capture.problems import Problems
 from lambent_capture.scenes.capture import Capture
 
@@ -32,20 +33,20 @@ LEVEL_LIMIT = np.sin(np.radians(20.0))
 """Spread of the cameras' roll (sine) above which they do not tell where up is."""
 
 
-def world_matrix(manifest: scene_pb2.SceneManifest) -> Float64[ndarray, "4 4"]:
+def world_matrix(manifest: scene_pb2.SceneManifest) -> Pose64:
     """Return the similarity from the capture's own coordinates to those of the manifest."""
     if not manifest.world_from_capture:
         return np.eye(4)
     return np.array(manifest.world_from_capture).reshape(4, 4)
 
 
-def rotation_and_scale(matrix: Float64[ndarray, "4 4"]) -> tuple[Float64[ndarray, "3 3"], float]:
+def rotation_and_scale(matrix: Pose64) -> tuple[Rotation64, float]:
     """Return the two factors of a similarity's linear part."""
     scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
     return matrix[:3, :3] / scale, scale
 
 
-def move(manifest: scene_pb2.SceneManifest, matrix: Float64[ndarray, "4 4"]) -> None:
+def move(manifest: scene_pb2.SceneManifest, matrix: Pose64) -> None:
     """Express everything in `manifest` in new coordinates, which a similarity gives from its present ones."""
     rotation, scale = rotation_and_scale(matrix)
     for frame in manifest.frames:
@@ -67,7 +68,7 @@ def move(manifest: scene_pb2.SceneManifest, matrix: Float64[ndarray, "4 4"]) -> 
     manifest.world_from_capture[:] = (matrix @ world_matrix(manifest)).ravel().tolist()
 
 
-def bring_near(capture: Capture, problems: Problems) -> Float64[ndarray, "4 4"]:
+def bring_near(capture: Capture, problems: Problems) -> Pose64:
     """Return the translation that took the cameras of `capture` from map coordinates to the origin.
 
     It is the identity for captures that are near the origin, which keep their coordinates. Frames whose
@@ -101,7 +102,7 @@ def bring_near(capture: Capture, problems: Problems) -> Float64[ndarray, "4 4"]:
     return matrix
 
 
-def in_world(manifest: scene_pb2.SceneManifest, matrix: Float64[ndarray, "4 4"]) -> None:
+def in_world(manifest: scene_pb2.SceneManifest, matrix: Pose64) -> None:
     """Express `manifest` in the coordinates that `matrix` gives from the capture's own.
 
     For another look at a capture whose scene was trained in coordinates chosen then.
@@ -139,9 +140,7 @@ def settle(manifest: scene_pb2.SceneManifest) -> None:
 
 
 def stand_upright(
-    manifest: scene_pb2.SceneManifest,
-    problems: Problems,
-    known_up: tuple[float, float, float] | None = None,
+    manifest: scene_pb2.SceneManifest, problems: Problems, known_up: tuple[float, float, float] | None = None
 ) -> None:
     """Turn a scene whose layout leaves "up" open so that z points up: `known_up`, or how cameras were held.
 
@@ -164,7 +163,7 @@ def stand_upright(
         move(manifest, matrix)
 
 
-def common_up(poses: Float64[ndarray, "frames 4 4"]) -> Float64[ndarray, "3"] | None:
+def common_up(poses: Float64[ndarray, "frames 4 4"]) -> Vector64 | None:
     """Return the unit direction that cameras held level (or upright) have in common as up.
 
     `poses` are camera-to-world, looking along -z. None where the cameras do not agree on one.
@@ -183,7 +182,7 @@ def common_up(poses: Float64[ndarray, "frames 4 4"]) -> Float64[ndarray, "3"] | 
     return None if best is None else best[1]
 
 
-def shortest_turn(up: Float64[ndarray, "3"]) -> Float64[ndarray, "3 3"]:
+def shortest_turn(up: Vector64) -> Rotation64:
     """Return the rotation that takes `up` to +z about the axis square to both."""
     if up[2] < -1.0 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lambent_capture.checks.agreement import compare
-from lambent_capture.checks.hull import Silhouette, carve
+from lambent_capture.checks.hull import carve
+from lambent_capture.scenes.silhouettes import Silhouette
 from support.ball_views import ball_camera, ball_views
 
 LOW, HIGH = np.full(3, -1.5), np.full(3, 1.5)

@@ -89,48 +89,43 @@ def test_the_pose_of_another_view_is_found_by_what_the_points_look_like(sample):
     assert found == [("scene.pose_inconsistent", name)]
 
 
-def test_background_in_a_mask_is_a_leak(sample):
-    def paint(coverage: ndarray) -> None:
-        coverage[3:18, 3:18] = 1.0
+def leak(coverage: ndarray) -> None:
+    coverage[3:18, 3:18] = 1.0
 
+
+def clinging_leak(coverage: ndarray) -> None:
+    rows, columns = extent(coverage)
+    coverage[rows.max() - 6 : rows.max() + 12, columns.max() - 24 : columns.max()] = 1.0
+
+
+def lost_part(coverage: ndarray) -> None:
+    coverage[:, : int(np.percentile(extent(coverage)[1], 15))] = 0.0
+
+
+def hole(coverage: ndarray) -> None:
+    row, column = (int(each.mean()) for each in extent(coverage))
+    coverage[row - 8 : row + 8, column - 8 : column + 8] = 0.0
+
+
+def islands(coverage: ndarray) -> None:
+    free = np.argwhere(coverage < 0.1)
+    for row, column in free[:: len(free) // 8]:
+        coverage[row, column] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("paint", "code"),
+    [
+        (leak, "scene.mask_leak"),
+        (clinging_leak, "scene.mask_leak"),
+        (lost_part, "scene.mask_incomplete"),
+        (hole, "scene.mask_incomplete"),
+        (islands, "scene.mask_specks"),
+    ],
+)
+def test_damage_to_a_mask_is_named_by_its_kind(sample, paint, code):
     found, name = with_view(sample, lambda seen: with_mask(seen, paint))
-    assert found == [("scene.mask_leak", name)]
-
-
-def test_background_that_clings_to_the_object_is_a_leak(sample):
-    def paint(coverage: ndarray) -> None:
-        rows, columns = extent(coverage)
-        coverage[rows.max() - 6 : rows.max() + 12, columns.max() - 24 : columns.max()] = 1.0
-
-    found, name = with_view(sample, lambda seen: with_mask(seen, paint))
-    assert found == [("scene.mask_leak", name)]
-
-
-def test_a_mask_without_a_part_of_the_object_is_incomplete(sample):
-    def paint(coverage: ndarray) -> None:
-        coverage[:, : int(np.percentile(extent(coverage)[1], 15))] = 0.0
-
-    found, name = with_view(sample, lambda seen: with_mask(seen, paint))
-    assert found == [("scene.mask_incomplete", name)]
-
-
-def test_a_mask_with_a_hole_in_it_is_incomplete(sample):
-    def paint(coverage: ndarray) -> None:
-        row, column = (int(each.mean()) for each in extent(coverage))
-        coverage[row - 8 : row + 8, column - 8 : column + 8] = 0.0
-
-    found, name = with_view(sample, lambda seen: with_mask(seen, paint))
-    assert found == [("scene.mask_incomplete", name)]
-
-
-def test_islands_of_a_pixel_are_specks(sample):
-    def paint(coverage: ndarray) -> None:
-        free = np.argwhere(coverage < 0.1)
-        for row, column in free[:: len(free) // 8]:
-            coverage[row, column] = 1.0
-
-    found, name = with_view(sample, lambda seen: with_mask(seen, paint))
-    assert found == [("scene.mask_specks", name)]
+    assert found == [(code, name)]
 
 
 @pytest.mark.parametrize("ev", [-0.6, 0.6])

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from lambent_capture.checks.hull import Silhouette, carve, footprint, grown, tolerated_views
+from lambent_capture.checks.hull import carve, footprint, grown, tolerated_views
+from lambent_capture.scenes.silhouettes import Silhouette
 from support.ball_views import RADIUS, ball_camera, ball_views
 
 LOW, HIGH = np.full(3, -1.5), np.full(3, 1.5)

@@ -11,18 +11,13 @@ from lambent_capture.layouts.detect import collect_scene, describe_scene
 from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.problems import Problems
 from lambent_capture.scenes.world import in_world, world_matrix
+from support.findings import only
 from support.layouts import ColmapBinaryFolder, ColmapTextFolder
 from support.uneven_object import NUM_VIEWS, SIDE
 
 
 def model_file(capture, name):
     return capture.folder / "sparse" / "0" / name
-
-
-def only(folder):
-    report = inspect_files(folder).report
-    assert len(report.findings) == 1, [f"{f.code}: {f.message}" for f in report.findings]
-    return report.findings[0]
 
 
 def test_text_and_binary_describe_the_same_frames(tmp_path):

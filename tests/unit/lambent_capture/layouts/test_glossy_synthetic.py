@@ -10,6 +10,7 @@ from lambent_capture.layouts.detect import describe_scene
 from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.loading.load import load_scene
 from lambent_proto.v1 import scene_pb2
+from support.findings import only
 from support.layouts import GlossyFolder
 from support.uneven_object import NUM_VIEWS
 
@@ -17,12 +18,6 @@ from support.uneven_object import NUM_VIEWS
 @pytest.fixture
 def capture(tmp_path):
     return GlossyFolder(tmp_path / "GlossySynthetic")
-
-
-def only(folder):
-    report = inspect_files(folder).report
-    assert len(report.findings) == 1, [f"{f.code}: {f.message}" for f in report.findings]
-    return report.findings[0]
 
 
 def held_out(folder):

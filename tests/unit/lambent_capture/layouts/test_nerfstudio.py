@@ -11,6 +11,7 @@ from lambent_capture.pictures.lens import LensFigures, camera_with_lens, distort
 from lambent_capture.problems import Problems
 from lambent_proto.v1 import scene_pb2
 from support.captures import save
+from support.findings import only
 from support.layouts import NerfstudioFolder
 from support.uneven_object import FOCAL, NUM_VIEWS, SIDE, colours, coverage
 
@@ -26,12 +27,6 @@ def change(capture, frame=None, **values):
     for key in [key for key, value in values.items() if value is None]:
         del place[key]
     path.write_text(json.dumps(transforms))
-
-
-def only(folder):
-    report = inspect_files(folder).report
-    assert len(report.findings) == 1, [f"{f.code}: {f.message}" for f in report.findings]
-    return report.findings[0]
 
 
 def names(manifest, split):

@@ -9,6 +9,7 @@ from lambent_capture.layouts.detect import describe_scene
 from lambent_capture.loading.inspect import inspect_files
 from lambent_proto.v1 import scene_pb2
 from support.captures import save
+from support.findings import only
 from support.layouts import OpenIlluminationFolder
 from support.uneven_object import NUM_VIEWS, SIDE, colours
 
@@ -16,12 +17,6 @@ from support.uneven_object import NUM_VIEWS, SIDE, colours
 @pytest.fixture
 def capture(tmp_path):
     return OpenIlluminationFolder(tmp_path / "scene")
-
-
-def only(folder):
-    report = inspect_files(folder).report
-    assert len(report.findings) == 1, [f"{f.code}: {f.message}" for f in report.findings]
-    return report.findings[0]
 
 
 def test_the_paper_s_training_light_comes_first_then_its_others_then_the_rest(capture):

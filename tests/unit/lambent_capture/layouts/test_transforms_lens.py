@@ -6,13 +6,8 @@ import pytest
 from lambent_capture.layouts.transforms_lens import read_lens
 from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.problems import Problems
-from lambent_proto.v1 import scene_pb2
 from support.captures import edit_frame, write_blender
-
-
-def codes(report):
-    return [f.code for f in report.findings if f.severity == scene_pb2.SEVERITY_ERROR]
-
+from support.findings import codes
 
 LENSES = {
     "fisheye model": ({"camera_model": "OPENCV_FISHEYE"}, "scene.lens_unsupported"),

@@ -7,7 +7,6 @@ import pytest
 from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.pictures import pictures
 from lambent_capture.problems import MAX_FINDINGS
-from lambent_proto.v1 import scene_pb2
 from support.captures import (
     edit_frame,
     look_at,
@@ -18,21 +17,10 @@ from support.captures import (
     write_tensoir,
     write_transforms,
 )
+from support.findings import codes, subject_of, warnings_of
 from support.hostile_files import huge_exr, huge_png
 
 POSE = look_at(np.array([4.0, 0.0, 1.0]))
-
-
-def codes(report, severity=scene_pb2.SEVERITY_ERROR):
-    return [finding.code for finding in report.findings if finding.severity == severity]
-
-
-def warnings_of(report):
-    return codes(report, scene_pb2.SEVERITY_WARNING)
-
-
-def subject_of(report, code):
-    return next(finding.subject for finding in report.findings if finding.code == code)
 
 
 def test_a_good_capture_is_usable_and_counted(tmp_path):
@@ -114,10 +102,8 @@ def test_an_exr_without_a_number_in_a_pixel_is_refused(tmp_path):
 
 
 BAD_POSES = {
-    "NaN": (np.where(np.eye(4) > 0, np.nan, POSE).tolist(), "scene.camera_not_finite"),
     "infinite": (np.where(np.eye(4) > 0, np.inf, POSE).tolist(), "scene.camera_not_finite"),
     "huge": ((POSE + 1e9).tolist(), "scene.camera_not_finite"),
-    "singular": (np.diag([1.0, 1.0, 0.0, 1.0]).tolist(), "scene.camera_not_rigid"),
     "scaled": (np.diag([2.0, 2.0, 2.0, 1.0]).tolist(), "scene.camera_not_rigid"),
     "mirrored": ((POSE @ np.diag([1.0, 1.0, -1.0, 1.0])).tolist(), "scene.camera_not_rigid"),
     "last row": ((POSE + np.eye(4)[[3] * 4] * [[0], [0], [0], [1]]).tolist(), "scene.camera_not_rigid"),
@@ -180,12 +166,6 @@ def test_a_path_out_of_the_folder_is_an_error(tmp_path, path):
     folder = write_blender(tmp_path)
     edit_frame(folder, 0, file_path=path)
     assert codes(inspect_files(folder).report) == ["scene.path_unsafe"]
-
-
-def test_a_picture_named_twice_is_an_error(tmp_path):
-    folder = write_blender(tmp_path)
-    edit_frame(folder, 1, file_path="./train/r_0")
-    assert codes(inspect_files(folder).report) == ["scene.frame_duplicate"]
 
 
 def test_the_same_picture_under_two_names_is_a_warning(tmp_path):
@@ -258,16 +238,6 @@ def test_parallel_cameras_look_at_nothing_in_common(tmp_path):
     assert codes(inspect_files(folder).report) == ["scene.cameras_parallel"]
 
 
-def test_poses_in_opencv_axes_are_recognised(tmp_path):
-    folder = write_blender(tmp_path, num_test=0)
-    flipped = np.diag([1.0, -1.0, -1.0, 1.0])
-    frames = read_transforms(folder)["frames"]
-    place_cameras(folder, [np.array(frame["transform_matrix"]) @ flipped for frame in frames])
-    report = inspect_files(folder).report
-    assert codes(report) == ["scene.cameras_look_away"]
-    assert "diag(1, -1, -1, 1)" in report.findings[0].message
-
-
 def test_views_that_do_not_overlap_are_refused(tmp_path):
     folder = write_blender(tmp_path, num_test=0)
     spots = [np.array([4.0 * np.cos(a), 4.0 * np.sin(a), 1.0]) for a in np.linspace(0, 5, 5)]
@@ -282,18 +252,6 @@ def test_one_camera_that_looks_elsewhere_is_a_warning_that_names_it(tmp_path):
     report = inspect_files(folder).report
     assert report.usable
     assert subject_of(report, "scene.camera_looks_elsewhere") == "train_r_3"
-
-
-def test_an_object_away_from_the_origin_needs_no_attention(tmp_path):
-    folder = write_blender(tmp_path)
-    for split in ("train", "test"):
-        transforms = read_transforms(folder, split)
-        for frame in transforms["frames"]:
-            frame["transform_matrix"][2][3] += 3.0
-        write_transforms(folder, split, transforms)
-    report = inspect_files(folder).report
-    assert report.usable
-    assert warnings_of(report) == []
 
 
 def test_photographs_without_a_cut_out_object_are_a_warning(tmp_path):

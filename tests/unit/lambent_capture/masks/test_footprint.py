@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from lambent_capture.checks.picture_camera import PictureCamera
 from lambent_capture.masks.consensus import ConsensusSettings, MaskView, _with_what_stands_below
 from lambent_capture.masks.footprint import uncovered
 from lambent_capture.masks.lattice import SCENE, Lattice
 from lambent_capture.masks.orthophoto import Orthophoto, SupportViews
 from lambent_capture.masks.plane_maps import OrthoGrid
 from lambent_capture.masks.support_plane import SupportPlane
+from lambent_capture.scenes.picture_camera import PictureCamera
 
 CELLS, VIEWS, DISTANCE = 40, 10, 4.0
 MIDDLE = np.s_[16:24, 16:24]
@@ -24,7 +24,7 @@ def scene(lightness: np.ndarray, hides: int = 0) -> tuple[SupportViews, Orthopho
 
     In the first `hides` views the object is believed to hide all of it.
     """
-    plane = SupportPlane(origin=np.zeros(3), axes=np.eye(3), share=1.0)
+    plane = SupportPlane(origin=np.zeros(3), axes=np.eye(3))
     grid = OrthoGrid(plane=plane, half=1.0, cells=CELLS)
     camera = PictureCamera(
         width=CELLS, height=CELLS, focal=(40.0, 40.0), centre=(20.0, 20.0), camera_to_world=np.eye(4)

@@ -7,7 +7,7 @@ from lambent_capture.masks.support_plane import plane_at
 from support.ball_on_table import table_cameras
 
 GRID = OrthoGrid(
-    plane=plane_at(np.array([0.1, 0.0, 0.6]), np.array([0.0, 0.0, 1.0]), 0.0, 1.0), half=1.2, cells=150
+    plane=plane_at(np.array([0.1, 0.0, 0.6]), np.array([0.0, 0.0, 1.0]), 0.0), half=1.2, cells=150
 )
 (CAMERA,) = table_cameras(1)
 

@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from lambent_capture.checks.picture_camera import PictureCamera
 from lambent_capture.masks.corrections import Correction
 from lambent_capture.masks.propagate import _seeds
 from lambent_capture.pictures.upright import turned_pixels, turned_pose, turned_size
+from lambent_capture.scenes.picture_camera import PictureCamera
 from support.captures import look_at
 
 

@@ -18,9 +18,10 @@ from lambent_capture.pictures.picture_error import PictureError
 from lambent_capture.pictures.pictures import picture_facts, read_levels, read_picture
 from lambent_core.colour import rec709_matrix
 from PIL import Image, ImageCms
-from support.colour_profiles import display_p3
-from support.png_files import png_bytes, png_chunk
+from strangers.colours import SPACES
+from strangers.profiles import chunk, png, rgb_profile
 
+DISPLAY_P3 = rgb_profile(SPACES["p3"])
 # Linear Display P3 to linear sRGB: both have the white point D65.
 SRGB_FROM_P3 = np.array([[1.2249, -0.2247, 0.0], [-0.0420, 1.0419, 0.0], [-0.0197, -0.0786, 1.0979]])
 P3_COLOURS = np.array([[200, 120, 60], [90, 160, 110], [128, 128, 128], [60, 70, 150]], dtype=np.uint8)
@@ -55,7 +56,7 @@ def test_display_p3_becomes_rec_709(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     lossless = suffix in (".png", ".webp", ".tif")
     options = {"quality": 100} if not lossless else {"lossless": True} if suffix == ".webp" else {}
-    Image.fromarray(picture(size=16)).save(path, icc_profile=display_p3(), **options)
+    Image.fromarray(picture(size=16)).save(path, icc_profile=DISPLAY_P3, **options)
     expected = as_linear(P3_COLOURS)
     assert np.abs(expected - decoded(P3_COLOURS / 255.0)).max() > 0.05
     found = read_picture(path)
@@ -68,7 +69,7 @@ def test_display_p3_becomes_rec_709(tmp_path, suffix):
 
 
 def test_a_colour_beyond_rec_709_keeps_its_brightness_and_has_no_negative_channel():
-    space, doubt = of_profile(display_p3(), 3)
+    space, doubt = of_profile(DISPLAY_P3, 3)
     assert not doubt
     found = space.linear(np.array([[[255, 0, 0]]], dtype=np.uint8))
     np.testing.assert_allclose(found[0, 0], [1.2249, 0.0, 0.0], atol=1e-3)
@@ -78,7 +79,7 @@ def test_a_colour_beyond_rec_709_keeps_its_brightness_and_has_no_negative_channe
 def test_a_level_means_the_same_in_8_16_and_32_bits(dtype):
     full = 1.0 if dtype == np.float32 else np.iinfo(dtype).max
     levels = (np.array([[[51, 102, 204]]]) / 255.0 * full).astype(dtype)
-    for space in (SRGB, ADOBE_RGB, of_profile(display_p3(), 3)[0], of_code_points(9, 1), of_gamma(0.5, None)):
+    for space in (SRGB, ADOBE_RGB, of_profile(DISPLAY_P3, 3)[0], of_code_points(9, 1), of_gamma(0.5, None)):
         expected = space.linear(np.array([[[51, 102, 204]]], dtype=np.uint8))
         np.testing.assert_allclose(space.linear(levels), expected, atol=2e-5)
 
@@ -86,7 +87,7 @@ def test_a_level_means_the_same_in_8_16_and_32_bits(dtype):
 def test_alpha_is_no_colour(tmp_path):
     alpha = np.full((8, 32, 1), 77, dtype=np.uint8)
     rgba = np.concatenate([picture(), alpha], axis=-1)
-    (tmp_path / "a.png").write_bytes(with_profile(display_p3(), rgba))
+    (tmp_path / "a.png").write_bytes(with_profile(DISPLAY_P3, rgba))
     found = read_picture(tmp_path / "a.png")
     assert (found.alpha == 77).all()
     np.testing.assert_allclose(found.linear()[4, 4::8], as_linear(P3_COLOURS), atol=1e-3)
@@ -101,19 +102,19 @@ def test_a_profile_of_srgb_changes_nothing(tmp_path):
 
 def test_a_mask_keeps_its_numbers_whatever_its_profile(tmp_path):
     grey = np.linspace(0, 255, 64).astype(np.uint8).reshape(8, 8)
-    (tmp_path / "a.png").write_bytes(with_profile(display_p3(), np.dstack([grey] * 3)))
+    (tmp_path / "a.png").write_bytes(with_profile(DISPLAY_P3, np.dstack([grey] * 3)))
     np.testing.assert_allclose(read_mask(tmp_path / "a.png").coverage, grey / 255.0, atol=1e-6)
 
 
 def test_a_damaged_profile_is_reported_and_the_picture_taken_for_srgb(tmp_path):
-    (tmp_path / "a.png").write_bytes(with_profile(display_p3()[:200]))
+    (tmp_path / "a.png").write_bytes(with_profile(DISPLAY_P3[:200]))
     np.testing.assert_array_equal(read_levels(tmp_path / "a.png"), picture())
     assert "cannot be used" in picture_facts(tmp_path / "a.png").colour_doubt
 
 
 def test_a_profile_of_colours_serves_a_grey_picture_and_one_of_greys_no_colours(tmp_path):
     grey = np.full((4, 4), 100, dtype=np.uint8)
-    (tmp_path / "a.png").write_bytes(with_profile(display_p3(), grey))
+    (tmp_path / "a.png").write_bytes(with_profile(DISPLAY_P3, grey))
     np.testing.assert_allclose(read_picture(tmp_path / "a.png").linear(), decoded(100 / 255.0), atol=1e-3)
     import imagecodecs
 
@@ -132,10 +133,10 @@ def test_a_cmyk_jpeg_is_read_as_colours(tmp_path):
 
 # ---- what PNG states, in the order of its standard ---------------------------------------------------
 
-CICP_P3 = png_chunk(b"cICP", bytes([12, 13, 0, 1]))
-SRGB_CHUNK = png_chunk(b"sRGB", b"\0")
-LINEAR_GAMMA = png_chunk(b"gAMA", struct.pack(">I", 100_000))
-P3_CORNERS = png_chunk(b"cHRM", struct.pack(">8I", 31270, 32900, 68000, 32000, 26500, 69000, 15000, 6000))
+CICP_P3 = chunk(b"cICP", bytes([12, 13, 0, 1]))
+SRGB_CHUNK = chunk(b"sRGB", b"\0")
+LINEAR_GAMMA = chunk(b"gAMA", struct.pack(">I", 100_000))
+P3_CORNERS = chunk(b"cHRM", struct.pack(">8I", 31270, 32900, 68000, 32000, 26500, 69000, 15000, 6000))
 
 
 @pytest.mark.parametrize(
@@ -145,25 +146,25 @@ P3_CORNERS = png_chunk(b"cHRM", struct.pack(">8I", 31270, 32900, 68000, 32000, 2
         ((SRGB_CHUNK, LINEAR_GAMMA, P3_CORNERS), lambda v: decoded(v)),
         ((LINEAR_GAMMA,), lambda v: v),
         ((LINEAR_GAMMA, P3_CORNERS), lambda v: v @ SRGB_FROM_P3.T),
-        ((png_chunk(b"gAMA", struct.pack(">I", 45455)),), lambda v: v**2.2),
+        ((chunk(b"gAMA", struct.pack(">I", 45455)),), lambda v: v**2.2),
         ((SRGB_CHUNK, CICP_P3), lambda v: decoded(v) @ SRGB_FROM_P3.T),
-        ((png_chunk(b"cICP", bytes([1, 8, 0, 1])), SRGB_CHUNK), lambda v: v),
+        ((chunk(b"cICP", bytes([1, 8, 0, 1])), SRGB_CHUNK), lambda v: v),
         ((P3_CORNERS,), lambda v: decoded(v)),
     ],
 )
 def test_a_png_is_read_by_the_statement_that_comes_first_in_the_standard(tmp_path, chunks, expected):
-    (tmp_path / "a.png").write_bytes(png_bytes(picture(), *chunks))
+    (tmp_path / "a.png").write_bytes(png(picture(), *chunks, bits=8))
     found = read_picture(tmp_path / "a.png").linear()[4, 4::8]
     np.testing.assert_allclose(found, np.maximum(expected(P3_COLOURS / 255.0), 0.0), atol=1e-3)
 
 
 @pytest.mark.parametrize(("transfer", "named"), [(16, "PQ"), (18, "HLG")])
 def test_high_dynamic_range_transfers_are_refused_by_name(tmp_path, transfer, named):
-    (tmp_path / "a.png").write_bytes(png_bytes(picture(), png_chunk(b"cICP", bytes([9, transfer, 0, 1]))))
+    (tmp_path / "a.png").write_bytes(png(picture(), chunk(b"cICP", bytes([9, transfer, 0, 1])), bits=8))
     with pytest.raises(PictureError, match=named) as caught:
         read_picture(tmp_path / "a.png")
     assert caught.value.code == "scene.colour_space"
-    profile = bytearray(display_p3())
+    profile = bytearray(DISPLAY_P3)
     count = int.from_bytes(profile[128:132], "big")
     end = 132 + 12 * count
     # The tag in place of the copyright: a profile of its own would say the same.
@@ -221,7 +222,7 @@ def test_a_profile_counts_before_exif(tmp_path):
     exif = Image.Exif()
     exif[0x010F] = "Maker"
     exif.get_ifd(0x8769)[0xA001] = 65535
-    (tmp_path / "a.png").write_bytes(with_profile(display_p3(), exif=exif.tobytes()))
+    (tmp_path / "a.png").write_bytes(with_profile(DISPLAY_P3, exif=exif.tobytes()))
     np.testing.assert_allclose(
         read_picture(tmp_path / "a.png").linear()[4, 4::8], as_linear(P3_COLOURS), atol=1e-3
     )

@@ -6,7 +6,7 @@ from lambent_capture.pictures.exif import ExifFacts, exif_facts
 from lambent_capture.pictures.pictures import picture_size, read_levels
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
-from support.png_files import png_bytes, png_chunk
+from strangers.profiles import chunk, png
 
 IMAGE = Image.fromarray(np.random.default_rng(0).integers(0, 255, (30, 40, 3), dtype=np.uint8))
 
@@ -107,9 +107,9 @@ def test_exif_behind_the_pixels_of_a_png_counts(tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6
     (tmp_path / "a.png").write_bytes(
-        png_bytes(np.zeros((4, 6, 3), dtype=np.uint8)).replace(
-            png_chunk(b"IEND", b""),
-            png_chunk(b"eXIf", exif.tobytes().removeprefix(b"Exif\0\0")) + png_chunk(b"IEND", b""),
+        png(np.zeros((4, 6, 3), dtype=np.uint8), bits=8).replace(
+            chunk(b"IEND", b""),
+            chunk(b"eXIf", exif.tobytes().removeprefix(b"Exif\0\0")) + chunk(b"IEND", b""),
         )
     )
     assert exif_facts(tmp_path / "a.png").orientation == 6

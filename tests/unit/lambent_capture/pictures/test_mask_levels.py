@@ -6,7 +6,7 @@ from lambent_capture.pictures.exr_pictures import LEAST_ALPHA
 from lambent_capture.pictures.mask_levels import read_mask, write_mask
 from lambent_capture.pictures.picture_error import PictureError
 from PIL import Image
-from support.png_files import png_bytes, png_chunk
+from strangers.profiles import chunk, png
 
 DISC = np.hypot(*(np.mgrid[:24, :32] - np.array([11.5, 15.5])[:, None, None])) < 7.0
 
@@ -50,11 +50,11 @@ def test_labels_are_objects_and_zero_is_not(tmp_path):
 @pytest.mark.parametrize("depth", [2, 4])
 def test_labels_of_few_bits_are_objects_and_a_whole_scale_is_grey(tmp_path, depth):
     labels = np.where(DISC, 1 + (np.arange(32)[None] > 15), 0)[..., None]
-    (tmp_path / "m.png").write_bytes(png_bytes(labels, depth=depth))
+    (tmp_path / "m.png").write_bytes(png(labels, bits=depth))
     np.testing.assert_array_equal(read_mask(tmp_path / "m.png").coverage, DISC)
     full = 2**depth - 1
     grey = np.where(DISC, 1 + (full - 1) * (np.arange(32)[None] > 15), 0)[..., None]
-    (tmp_path / "g.png").write_bytes(png_bytes(grey, depth=depth))
+    (tmp_path / "g.png").write_bytes(png(grey, bits=depth))
     np.testing.assert_allclose(read_mask(tmp_path / "g.png").coverage, grey[..., 0] / full, atol=1e-6)
 
 
@@ -104,7 +104,7 @@ def test_alpha_counts_where_it_leaves_something_out(tmp_path):
 
 def test_a_colour_key_leaves_its_level_out(tmp_path):
     (tmp_path / "m.png").write_bytes(
-        png_bytes(np.where(DISC, 90, 7)[..., None], png_chunk(b"tRNS", (7).to_bytes(2, "big")))
+        png(np.where(DISC, 90, 7)[..., None], chunk(b"tRNS", (7).to_bytes(2, "big")), bits=8)
     )
     np.testing.assert_array_equal(read_mask(tmp_path / "m.png").coverage, DISC)
 

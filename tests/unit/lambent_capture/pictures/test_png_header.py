@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 from lambent_capture.pictures.pictures import has_alpha, read_picture
 from lambent_capture.pictures.png_header import png_header
-from support.png_files import png_bytes, png_chunk
+from strangers.profiles import chunk, png
 
 COLOURS = np.array([[[10, 20, 30], [40, 50, 60]]], dtype=np.uint16)
 
 
 def test_chunks_are_read_with_their_numbers(tmp_path):
     chunks = (
-        png_chunk(b"gAMA", (45455).to_bytes(4, "big")),
-        png_chunk(b"sRGB", b"\0"),
-        png_chunk(b"cICP", bytes([12, 13, 0, 1])),
-        png_chunk(b"tRNS", b"\0\x0a\0\x14\0\x1e"),
+        chunk(b"gAMA", (45455).to_bytes(4, "big")),
+        chunk(b"sRGB", b"\0"),
+        chunk(b"cICP", bytes([12, 13, 0, 1])),
+        chunk(b"tRNS", b"\0\x0a\0\x14\0\x1e"),
     )
-    (tmp_path / "a.png").write_bytes(png_bytes(COLOURS, *chunks))
+    (tmp_path / "a.png").write_bytes(png(COLOURS, *chunks, bits=8))
     header = png_header(tmp_path / "a.png")
     assert (header.bit_depth, header.colour_type, header.key) == (8, 2, (10, 20, 30))
     assert (header.gamma, header.is_srgb, header.code_points) == (0.45455, True, (12, 13, 0, 1))
@@ -24,8 +24,8 @@ def test_chunks_are_read_with_their_numbers(tmp_path):
 
 
 def test_a_chunk_of_a_wrong_length_says_nothing(tmp_path):
-    chunks = (png_chunk(b"gAMA", b"\1"), png_chunk(b"cHRM", b"\1" * 31), png_chunk(b"tRNS", b"\0"))
-    (tmp_path / "a.png").write_bytes(png_bytes(COLOURS, *chunks))
+    chunks = (chunk(b"gAMA", b"\1"), chunk(b"cHRM", b"\1" * 31), chunk(b"tRNS", b"\0"))
+    (tmp_path / "a.png").write_bytes(png(COLOURS, *chunks, bits=8))
     header = png_header(tmp_path / "a.png")
     assert (header.gamma, header.chromaticities, header.key) == (0.0, None, ())
 
@@ -38,8 +38,8 @@ def test_a_file_without_a_header_is_refused(tmp_path):
 
 @pytest.mark.parametrize("depth", [8, 16])
 def test_the_key_of_colours_is_transparent(tmp_path, depth):
-    key = png_chunk(b"tRNS", b"\0\x0a\0\x14\0\x1e")
-    (tmp_path / "a.png").write_bytes(png_bytes(COLOURS, key, depth=depth))
+    key = chunk(b"tRNS", b"\0\x0a\0\x14\0\x1e")
+    (tmp_path / "a.png").write_bytes(png(COLOURS, key, bits=depth))
     assert has_alpha(tmp_path / "a.png")
     found = read_picture(tmp_path / "a.png")
     np.testing.assert_array_equal(found.coverage(), [[0.0, 1.0]])
@@ -49,5 +49,5 @@ def test_the_key_of_colours_is_transparent(tmp_path, depth):
 @pytest.mark.parametrize("depth", [1, 2, 4, 8, 16])
 def test_the_key_of_greys_is_transparent_at_every_depth(tmp_path, depth):
     levels = np.array([[[1], [0], [1], [0]]], dtype=np.uint16)
-    (tmp_path / "a.png").write_bytes(png_bytes(levels, png_chunk(b"tRNS", b"\0\1"), depth=depth))
+    (tmp_path / "a.png").write_bytes(png(levels, chunk(b"tRNS", b"\0\1"), bits=depth))
     np.testing.assert_array_equal(read_picture(tmp_path / "a.png").coverage(), [[0.0, 1.0, 0.0, 1.0]])

@@ -7,8 +7,10 @@ from lambent_capture.pictures.colour_space import SRGB
 from lambent_capture.pictures.picture_error import PictureError
 from lambent_capture.pictures.pictures import has_alpha, picture_facts, picture_size, read_picture
 from PIL import Image
-from support.colour_profiles import display_p3
+from strangers.colours import SPACES
+from strangers.profiles import rgb_profile
 
+DISPLAY_P3 = rgb_profile(SPACES["p3"])
 LEVELS = np.random.default_rng(3).integers(0, 65536, (12, 16, 3), dtype=np.uint16)
 
 
@@ -63,7 +65,7 @@ def test_floats_are_light(tmp_path):
 
 
 def test_a_profile_is_obeyed_in_16_bits(tmp_path):
-    tifffile.imwrite(tmp_path / "a.tif", LEVELS, photometric="rgb", iccprofile=display_p3())
+    tifffile.imwrite(tmp_path / "a.tif", LEVELS, photometric="rgb", iccprofile=DISPLAY_P3)
     encoded = LEVELS / 65535.0
     light = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     matrix = np.array([[1.2249, -0.2247, 0.0], [-0.0420, 1.0419, 0.0], [-0.0197, -0.0786, 1.0979]])

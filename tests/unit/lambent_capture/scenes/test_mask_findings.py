@@ -2,21 +2,9 @@
 
 import numpy as np
 from lambent_capture.loading.inspect import inspect_files
-from lambent_proto.v1 import scene_pb2
 from PIL import Image
 from support.captures import read_transforms, save, write_blender, write_transforms
-
-
-def codes(report, severity=scene_pb2.SEVERITY_ERROR):
-    return [finding.code for finding in report.findings if finding.severity == severity]
-
-
-def warnings_of(report):
-    return codes(report, scene_pb2.SEVERITY_WARNING)
-
-
-def subject_of(report, code):
-    return next(finding.subject for finding in report.findings if finding.code == code)
+from support.findings import codes, subject_of, warnings_of
 
 
 def with_masks(folder, *levels):

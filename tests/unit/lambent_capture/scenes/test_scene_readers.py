@@ -6,6 +6,7 @@ import shutil
 import numpy as np
 import pytest
 from lambent_capture.layouts.detect import describe_scene, detect_layout
+from lambent_capture.loading.inspect import inspect_files
 from lambent_capture.loading.lights import select_lights
 from lambent_core.errors import SceneRefusedError, UsageError
 from lambent_proto.v1 import scene_pb2
@@ -91,6 +92,7 @@ def test_an_object_beside_the_origin_is_moved_there_and_the_move_is_recorded(tmp
         for frame in transforms["frames"]:
             frame["transform_matrix"][0][3] += 3.0
         write_transforms(folder, split, transforms)
+    assert not inspect_files(folder).report.findings
     manifest = describe_scene(folder)
     assert manifest.contraction_radius == pytest.approx(2.0)
     assert list(manifest.bounds.minimum) == pytest.approx([-2.0, -2.0, -2.0])
@@ -223,14 +225,10 @@ def test_a_light_that_most_views_lack_is_a_stray_picture_and_no_light(tmp_path):
 
 
 def test_radiance_that_the_renderer_left_beside_the_pictures_is_no_stray_picture():
-    from lambent_capture.loading.inspect import inspect_files
-
     assert not inspect_files(SCENES / "tensoir_synthetic").report.findings
 
 
 def test_validation_pictures_beside_a_test_split_are_no_stray_pictures(tmp_path):
-    from lambent_capture.loading.inspect import inspect_files
-
     folder = write_blender(tmp_path, num_train=9)
     transforms = read_transforms(folder, "test")
     save(folder / "test" / "v_0.png", photograph(77))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from lambent_capture.scenes.picture_camera import PictureCamera
 from lambent_capture.scenes.silhouettes import Silhouette, carve, explained, other_convention
 from support.layouts import OPENCV
 from support.uneven_object import BALLS, FOCAL, SIDE, coverage, poses
@@ -13,11 +14,15 @@ def views(axes=None, count=16):
     turn = np.eye(4) if axes is None else axes
     return [
         Silhouette(
-            name=str(index),
-            pose=pose @ turn,
-            focal=np.full(2, FOCAL * 2),
-            centre=np.full(2, SCALED / 2),
-            mask=coverage(pose, SCALED) > 0,
+            PictureCamera(
+                width=SCALED,
+                height=SCALED,
+                focal=(FOCAL * 2, FOCAL * 2),
+                centre=(SCALED / 2, SCALED / 2),
+                camera_to_world=pose @ turn,
+            ),
+            coverage(pose, SCALED) > 0,
+            str(index),
         )
         for index, pose in enumerate(poses()[:count])
     ]
@@ -49,7 +54,7 @@ def test_nothing_is_explained_without_a_hull():
 
 
 def test_cameras_on_one_side_leave_the_other_side_open():
-    above = [view for view in views() if view.pose[2, 3] > 0.8]
+    above = [view for view in views() if view.camera.position[2] > 0.8]
     hull = carve(above)
     assert hull.open_low[2]
     assert not hull.open_high[2]

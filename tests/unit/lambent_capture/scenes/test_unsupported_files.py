@@ -2,24 +2,11 @@
 
 import pytest
 from lambent_capture.loading.inspect import inspect_files
-from lambent_proto.v1 import scene_pb2
 from support.captures import (
     write_blender,
     write_tensoir,
 )
-
-
-def codes(report, severity=scene_pb2.SEVERITY_ERROR):
-    return [finding.code for finding in report.findings if finding.severity == severity]
-
-
-def warnings_of(report):
-    return codes(report, scene_pb2.SEVERITY_WARNING)
-
-
-def subject_of(report, code):
-    return next(finding.subject for finding in report.findings if finding.code == code)
-
+from support.findings import subject_of, warnings_of
 
 UNSUPPORTED = {
     "cameras.pkl": b"\x80\x04K\x01.",

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lambent_capture.checks.picture_camera import PictureCamera
+from lambent_capture.scenes.picture_camera import PictureCamera
 from lambent_proto.v1 import scene_pb2
 from support.captures import look_at
 
