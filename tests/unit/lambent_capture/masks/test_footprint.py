@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lambent_capture.masks.consensus import ConsensusSettings, MaskView, _with_what_stands_below
+from lambent_capture.masks.consensus import ConsensusSettings, MaskView, _Grid, _with_what_stands_below
 from lambent_capture.masks.footprint import uncovered
 from lambent_capture.masks.lattice import SCENE, Lattice
 from lambent_capture.masks.orthophoto import Orthophoto, SupportViews
@@ -13,6 +13,9 @@ from lambent_capture.scenes.picture_camera import PictureCamera
 CELLS, VIEWS, DISTANCE = 40, 10, 4.0
 MIDDLE = np.s_[16:24, 16:24]
 PAPER = np.array([80.0, 0.0, 0.0])
+CAMERA = PictureCamera(
+    width=CELLS, height=CELLS, focal=(40.0, 40.0), centre=(20.0, 20.0), camera_to_world=np.eye(4)
+)
 
 
 def coded(lab: np.ndarray) -> np.ndarray:
@@ -26,12 +29,9 @@ def scene(lightness: np.ndarray, hides: int = 0) -> tuple[SupportViews, Orthopho
     """
     plane = SupportPlane(origin=np.zeros(3), axes=np.eye(3))
     grid = OrthoGrid(plane=plane, half=1.0, cells=CELLS)
-    camera = PictureCamera(
-        width=CELLS, height=CELLS, focal=(40.0, 40.0), centre=(20.0, 20.0), camera_to_world=np.eye(4)
-    )
     picture = np.zeros((CELLS, CELLS, 3), np.uint8)
     support = SupportViews(
-        grid, [MaskView(f"v{k}", picture, camera) for k in range(VIEWS)], np.ones((VIEWS, 3))
+        grid, [MaskView(f"v{k}", picture, CAMERA) for k in range(VIEWS)], np.ones((VIEWS, 3))
     )
     rows, columns = np.mgrid[:CELLS, :CELLS].astype(np.int16)
     for light in lightness:
@@ -80,6 +80,7 @@ def test_cells_below_the_object_get_votes_and_others_do_not():
     lattice = Lattice(frame=SCENE, low=np.zeros(3), spacing=1.0, shape=(1, 2, 4))
     votes = np.array([[[-9.0, -1.0, 5.0, -1.0], [-1.0, -1.0, -1.0, -1.0]]])
     settings = ConsensusSettings(standing=0.5, most_standing=3.0)
-    raised = _with_what_stands_below(votes.ravel(), lattice, 10, settings).reshape(votes.shape)
+    grid = _Grid(lattice, [CAMERA] * 10, [])
+    raised = _with_what_stands_below(votes.ravel(), grid, settings).reshape(votes.shape)
     np.testing.assert_array_equal(raised[0, 0], [-4.0, 3.0, 5.0, -1.0])
     np.testing.assert_array_equal(raised[0, 1], votes[0, 1])
