@@ -27,7 +27,7 @@ from lambent_asset.mesh.atlas import (
     tangents,
     unit,
 )
-from lambent_asset.mesh.mesh import Corner, data_resolution
+from lambent_asset.mesh.mesh import Corner, crosses_of, data_resolution
 from lambent_asset.textures.photo_albedo import LARGEST_SIZE
 from lambent_asset.textures.surface import AtlasSurface, learned_normals, settled, upright
 from lambent_asset.textures.textures import TextureSet, tangent_normals
@@ -137,7 +137,7 @@ def given_surface(
     if bare.any():
         outwards = unit(interpolate(fragments, charts.faces, geometric[charts.source])).astype(np.float32)
         _fill_from_model(model, reflectors, shading, bare, positions, outwards, cell)
-    facing = unit(_face_normals(vertices, charts.faces)[fragments.face[fragments.covered]]).astype(np.float32)
+    facing = unit(crosses_of(vertices, charts.faces)[fragments.face[fragments.covered]]).astype(np.float32)
     surface = AtlasSurface(
         vertices=vertices,
         faces=charts.faces,
@@ -234,8 +234,3 @@ def _fill_from_model(
         roughness = perceptual_roughness_from_alpha(learned.alpha).cpu().numpy()
         reflectors.perceptual_roughness[some] = roughness.reshape(-1, 1)
         reflectors.metalness[some] = learned.metalness.cpu().numpy().reshape(-1, 1)
-
-
-def _face_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    a, b, c = (vertices[faces[:, k]].astype(np.float64) for k in range(3))
-    return np.cross(b - a, c - a)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from trimesh.transformations import quaternion_matrix
 
 from lambent_asset.given_mesh.glb_maps import Maps, maps_of
+from lambent_asset.mesh.mesh import crosses_of
 
 MAX_BYTES = 1 << 30
 MAX_FACES = 2_000_000
@@ -326,8 +327,7 @@ def _joined(path: Path, parts: list[_Part], ignored: tuple[str, ...]) -> GivenMe
                 f"has {bad} vertices whose {name} are not numbers",
                 "repair the mesh",
             )
-    a, b, c = (vertices[faces[:, k]].astype(np.float64) for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = np.linalg.norm(crosses_of(vertices, faces), axis=1)
     extent = float(np.linalg.norm(np.ptp(vertices[used], axis=0)))
     kept = area > 1e-14 * extent * extent
     if not kept.any():

@@ -222,23 +222,14 @@ def _around(points: NDArray[np.floating]) -> list[Camera]:
     low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
     middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
     away = 5.0 * radius
+    focal = 0.5 * SEEN_SIDE * math.sqrt(away**2 - radius**2) / radius
     cameras = []
     for k in range(SEEN_FROM):
         z, azimuth = 1.0 - (2.0 * k + 1.0) / SEEN_FROM, k * math.pi * (3.0 - math.sqrt(5.0))
         ring = math.sqrt(1.0 - z * z)
         place = middle + away * np.array([ring * math.cos(azimuth), ring * math.sin(azimuth), z])
-        cameras.append(
-            Camera(
-                name=f"around_{k:03d}",
-                width=SEEN_SIDE,
-                height=SEEN_SIDE,
-                focal_x=0.5 * SEEN_SIDE * math.sqrt(away**2 - radius**2) / radius,
-                focal_y=0.5 * SEEN_SIDE * math.sqrt(away**2 - radius**2) / radius,
-                centre_x=0.5 * SEEN_SIDE,
-                centre_y=0.5 * SEEN_SIDE,
-                camera_to_world=look_at(place.tolist(), middle.tolist()),
-            )
-        )
+        pose = look_at(place.tolist(), middle.tolist())
+        cameras.append(Camera.centred(f"around_{k:03d}", SEEN_SIDE, SEEN_SIDE, focal, pose))
     return cameras
 
 
@@ -252,10 +243,22 @@ def piece_of_face(num_vertices: int, faces: NDArray[np.integer]) -> NDArray[np.i
     return piece[faces[:, 0]]
 
 
+def crosses_of(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Return the normals of triangles [face, 3], as long as twice their area."""
+    a, b, c = (np.asarray(vertices, np.float64)[faces[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)
+
+
 def edges_of(faces: NDArray[np.integer]) -> NDArray[np.integer]:
     """Return the edges of triangles [edge, 2], each once, its smaller vertex first."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     return np.unique(np.sort(edges, axis=1), axis=0)
+
+
+def joined(edges: NDArray[np.integer], num_vertices: int) -> sparse.csr_array:
+    """Return the matrix that is one for every two neighbours."""
+    rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
+    return sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(num_vertices, num_vertices))
 
 
 def compact(

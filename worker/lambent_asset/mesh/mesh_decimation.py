@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from lambent_asset.mesh.mesh import Mesh, compact
+from lambent_asset.mesh.mesh import Mesh, compact, crosses_of
 
 TOLERANCE_CELLS = 0.3
 """Distance of the fine mesh from the simplified one that is accepted, in cells.
@@ -36,8 +36,7 @@ def simplified(mesh: Mesh, max_faces: int) -> Mesh:
         vertices, faces = fast_simplification.simplify(
             np.ascontiguousarray(vertices), np.ascontiguousarray(faces), target_count=max_faces
         )
-    a, b, c = (np.asarray(vertices, np.float64)[faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = np.linalg.norm(crosses_of(vertices, faces), axis=1)
     vertices, faces = compact(vertices, without_folded_pairs(faces[area > 1e-6 * mesh.cell**2]))
     return Mesh(vertices.astype(np.float32), faces.astype(np.int32), mesh.cell)
 

@@ -14,7 +14,7 @@ from scipy import sparse
 from torch import Tensor
 
 from lambent_asset.mesh.atlas import angle_weighted_normals
-from lambent_asset.mesh.mesh import Mesh, edges_of
+from lambent_asset.mesh.mesh import Mesh, crosses_of, edges_of, joined
 
 OUTSIDE_CELLS, INSIDE_CELLS = 1.5, 2.5
 """Search distance from the mesh, in cells."""
@@ -113,15 +113,15 @@ def without_folds(
 ) -> NDArray[np.floating]:
     """Return `after`, but the places `before` for vertices of triangles that would turn over."""
     before, moved = np.asarray(before, np.float64), np.array(after, np.float64)
-    plain = _cross(before, faces)
+    plain = crosses_of(before, faces)
     # Each round takes back at least one vertex, and most of what is wrong in the first two.
     for _ in range(8):
-        over = (plain * _cross(moved, faces)).sum(-1) < 0.0
+        over = (plain * crosses_of(moved, faces)).sum(-1) < 0.0
         if not over.any():
             return moved
         back = np.unique(faces[over])
         moved[back] = before[back]
-    over = (plain * _cross(moved, faces)).sum(-1) < 0.0
+    over = (plain * crosses_of(moved, faces)).sum(-1) < 0.0
     return moved if not over.any() else before
 
 
@@ -135,14 +135,7 @@ def _relaxed(
     return without_folds(vertices, vertices + step, faces)
 
 
-def _cross(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> NDArray[np.float64]:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
-
-
 def _mean_of_neighbours(num_vertices: int, faces: NDArray[np.integer]) -> sparse.csr_array:
     """Return the matrix that takes means over the neighbours of every vertex."""
-    edges = edges_of(faces)
-    rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
-    joined = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(num_vertices, num_vertices))
-    return sparse.diags_array(1.0 / np.maximum(joined.sum(axis=1), 1.0)) @ joined
+    neighbours = joined(edges_of(faces), num_vertices)
+    return sparse.diags_array(1.0 / np.maximum(neighbours.sum(axis=1), 1.0)) @ neighbours

@@ -13,7 +13,7 @@ from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
 from lambent_asset.mesh.atlas import angle_weighted_normals, unit
-from lambent_asset.mesh.mesh import Mesh, compact, edges_of, piece_of_face
+from lambent_asset.mesh.mesh import Mesh, compact, edges_of, joined, piece_of_face
 from lambent_asset.mesh.mesh_depth import relight_camera
 
 MOST_VIEWS = 100
@@ -58,7 +58,7 @@ def unseen_vertices(mesh: Mesh, views: tuple[View, ...]) -> NDArray[np.bool_]:
         seen |= _shown(mesh, normals, flat, view)
         if seen.all():
             break
-    around = _joined(edges_of(mesh.faces), len(mesh.vertices))
+    around = joined(edges_of(mesh.faces), len(mesh.vertices))
     unseen = ~seen
     for grow in (False, True, True, False):
         for _ in range(NUM_ROUNDINGS):
@@ -127,10 +127,10 @@ def _smoothing(vertices: NDArray[np.floating], faces: NDArray[np.integer], width
     """Return 1 + s^2 L for a smoothing `width` in scene units."""
     edges = edges_of(faces)
     length = float(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean())
-    joined = _joined(edges, len(vertices))
+    neighbours = joined(edges, len(vertices))
     # In a plane of equilateral triangles the sum over six neighbours is 1.5 times the Laplacian.
     strength = (width / length) ** 2 / 1.5
-    return (sparse.diags_array(1.0 + strength * joined.sum(axis=1)) - strength * joined).tocsr()
+    return (sparse.diags_array(1.0 + strength * neighbours.sum(axis=1)) - strength * neighbours).tocsr()
 
 
 def _evened_out(
@@ -190,10 +190,3 @@ def plain_where_unseen(
     filled = values.copy()
     filled[unseen] = np.einsum("tk,tkn->tn", weights, values[seen][near]).astype(np.float32)
     return filled
-
-
-def _joined(edges: NDArray[np.integer], num_vertices: int) -> sparse.csr_array:
-    """Return the matrix that is one for every two neighbours."""
-    rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
-    shape = (num_vertices, num_vertices)
-    return sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=shape)

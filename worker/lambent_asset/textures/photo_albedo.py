@@ -18,10 +18,11 @@ from lambent_relight.baked.scene import BakedScene
 from lambent_relight.baked.texture_lookup import bilinear
 from numpy import ndarray
 
+from lambent_asset.mesh.mesh import Mesh
 from lambent_asset.textures.photo_choice import Choice, Observations, choose
 from lambent_asset.textures.photo_nodes import Nodes, nodes_of
 from lambent_asset.textures.photo_shading import LitSurface, SurfaceUnderLight
-from lambent_asset.textures.photo_view import Mesh, Photograph
+from lambent_asset.textures.photo_view import Photograph
 from lambent_asset.textures.surface import AtlasSurface
 
 LEAST_SIZE = 1024

@@ -10,7 +10,6 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Float32, Int
 from lambent_relight.baked.raster import nearest_texel
-from lambent_relight.baked.texture_lookup import bilinear
 from lambent_relight.baked.transport import coarse_blocks
 from numpy import ndarray
 from scipy.spatial import cKDTree
@@ -40,12 +39,6 @@ class Nodes:
         for _ in range(times):
             values = self.means @ values
         return np.asarray(values, np.float32)
-
-    def at(
-        self, values: Float[ndarray, "nodes _"], uv: Float[ndarray, "places 2"]
-    ) -> Float32[ndarray, "places _"]:
-        """Return values between nodes at places of the atlas, bilinear inside a chart."""
-        return bilinear(np.asarray(values, np.float32)[self.owner], uv)
 
 
 def nodes_of(

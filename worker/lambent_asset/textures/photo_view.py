@@ -9,12 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 from lambent_core.directions import dot
-from lambent_core.scene import Camera, View
-from lambent_relight import cameras as relight_cameras
+from lambent_core.scene import View
 from lambent_relight.baked.raster import block_means, rasterise
 from lambent_relight.baked.texture_lookup import bilinear, cubic
 from numpy import ndarray
 from scipy import ndimage
+
+from lambent_asset.mesh.mesh import Mesh
+from lambent_asset.mesh.mesh_depth import relight_camera
 
 DEPTH_SIDE = 1024
 """Longer side of the depth picture at most: the mesh's own error is larger than its pixel."""
@@ -25,15 +27,6 @@ LEAST_COSINE = 0.2
 """Surfaces that are seen under a flatter angle are left out."""
 SOLID = 0.98
 """Alpha from which on a photograph's pixel shows nothing but the object."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Mesh:
-    """Triangles in world coordinates and the width of the cells they were found with."""
-
-    vertices: Float32[ndarray, "vertices 3"]
-    faces: ndarray
-    cell: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +59,13 @@ class Photograph:
         self, points: Float[ndarray, "points 3"]
     ) -> tuple[Float32[ndarray, "points 2"], Float32[ndarray, " points"]]:
         """Return column and row of points in pixels, and their distance along the axis (scene units)."""
-        return projected(self.camera, points)
+        camera = self.camera
+        pose = np.asarray(camera.camera_to_world, np.float64)
+        local = (points - pose[:3, 3].astype(np.float32)) @ pose[:3, :3].astype(np.float32)
+        along = np.maximum(-local[:, 2], 1e-9)
+        column = camera.focal_x * local[:, 0] / along + camera.centre_x
+        row = camera.centre_y - camera.focal_y * local[:, 1] / along
+        return np.stack([column, row], axis=-1).astype(np.float32), -local[:, 2]
 
     def see(
         self, points: Float32[ndarray, "points 3"], normals: Float32[ndarray, "points 3"], mesh: Mesh
@@ -103,10 +102,7 @@ class Photograph:
         factor = min(1.0, DEPTH_SIDE / max(camera.width, camera.height))
         size = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
         small = camera.resized(*size)
-        values = {name: getattr(small, name) for name in ("width", "height", "focal_x", "focal_y")}
-        values |= {"centre_x": small.centre_x, "centre_y": small.centre_y}
-        pose = relight_cameras.Camera(name=self.name, camera_to_world=small.camera_to_world, **values)
-        depth = rasterise(mesh.vertices, mesh.faces, pose).depth
+        depth = rasterise(mesh.vertices, mesh.faces, relight_camera(self.name, small)).depth
         pixel = float(np.median(distance)) / small.focal_x
         margin = CELLS * mesh.cell
         reach = max(1, math.ceil(margin / pixel))
@@ -163,15 +159,3 @@ class Level:
             np.diff(grey, axis=0, append=grey[-1:])
         )
         return (steps / np.maximum(grey, 1e-3))[..., None]
-
-
-def projected(
-    camera: Camera, points: Float[ndarray, "points 3"]
-) -> tuple[Float32[ndarray, "points 2"], Float32[ndarray, " points"]]:
-    """Return column and row of points in pixels, and their distance along the axis (scene units)."""
-    pose = np.asarray(camera.camera_to_world, np.float64)
-    local = (points - pose[:3, 3].astype(np.float32)) @ pose[:3, :3].astype(np.float32)
-    along = np.maximum(-local[:, 2], 1e-9)
-    column = camera.focal_x * local[:, 0] / along + camera.centre_x
-    row = camera.centre_y - camera.focal_y * local[:, 1] / along
-    return np.stack([column, row], axis=-1).astype(np.float32), -local[:, 2]

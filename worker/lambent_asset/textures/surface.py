@@ -21,7 +21,7 @@ from lambent_relight.baked.raster import interpolate, rasterise_uv
 from numpy.typing import NDArray
 
 from lambent_asset.mesh.atlas import angle_weighted_normals, size_within, unit, unwrap
-from lambent_asset.mesh.mesh import Corner, occupied_box
+from lambent_asset.mesh.mesh import Corner, crosses_of, occupied_box
 from lambent_asset.mesh.mesh_shape import build_shape
 
 OUTSIDE_CELLS, INSIDE_CELLS = 1.5, 2.5
@@ -62,8 +62,7 @@ class AtlasSurface:
     @property
     def texel_size(self) -> float:
         """Return the root of the mean area of a covered texel on the surface, scene units."""
-        a, b, c = (self.vertices[self.faces[:, k]].astype(np.float64) for k in range(3))
-        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+        area = 0.5 * np.linalg.norm(crosses_of(self.vertices, self.faces), axis=1).sum()
         return float(np.sqrt(area / len(self.texel_index)))
 
 

@@ -1,11 +1,9 @@
 """The run's line to the server: it survives outages and ends the run when the server has given it up."""
 
-import json
 import os
 import random
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,7 @@ from lambent_core.files import file_sha256
 from lambent_proto.v1 import worker_pb2
 
 from lambent_run.job.direct_transfer import Store, StoreAwayError
-from lambent_run.job.servers import AwayError, Servers
+from lambent_run.job.servers import AwayError, Identity, Servers
 
 CHUNK_BYTES = 1024 * 1024
 CALL_TIMEOUT_S = 30.0
@@ -54,46 +52,6 @@ class UnreachableError(Exception):
     """The run was asked to end, or has waited long enough, and the server did not answer any more."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Identity:
-    """Which run this process is, and where its server is."""
-
-    job_id: str
-    run: int
-    address: str
-    token: str
-    work_dir: Path
-    memory_bytes: int = 0
-    """Limit of what the pipeline may allocate; 0 for none."""
-    file_bytes: int = 0
-    """Limit of the size of a file that it may write; 0 for none."""
-    processes: int = 0
-    """Limit of its processes and threads; 0 for none."""
-    give_up_after_s: float = 0.0
-    """Time without a server after which the run ends itself; 0 for never."""
-    stop_grace_s: float = 30.0
-    """Time that the pipeline has to end when a server says that it must."""
-    servers: tuple[str, ...] = ()
-    """Addresses of all servers, the nearest first; `address` is that of the one that started the run."""
-    authority: str = ""
-    """Certificates (PEM) by which servers on other machines are checked; empty: those that gRPC
-    brings."""
-    authority_name: str = ""
-    """The name in the servers' certificates, if it is not their address."""
-
-    @classmethod
-    def from_environment(cls, environment: Mapping[str, str] = os.environ) -> "Identity":
-        """Return the identity in `LAMBENT_RUN`."""
-        given = json.loads(environment["LAMBENT_RUN"])
-        servers = tuple(given.get("servers", ()))
-        return cls(**{**given, "work_dir": Path(given["work_dir"]).absolute(), "servers": servers})
-
-    @property
-    def fence(self) -> worker_pb2.Fence:
-        """Return the fence that every request carries."""
-        return worker_pb2.Fence(job_id=self.job_id, run=self.run)
-
-
 class Connection:
     """Calls that are tried again until the server answers. Safe to use from several threads."""
 
@@ -105,7 +63,6 @@ class Connection:
         # that interrupts another one would wait for ever for the lock which the first one holds.
         self.ending = False
         self._store = Store()
-        # Whether files go to and from the store directly; not any more once a server knows no such calls.
 
     def close(self) -> None:
         """Close the channels."""
@@ -185,13 +142,21 @@ class Connection:
 
     def _send_parts(self, path: Path, parts: Iterable[worker_pb2.UploadPart]) -> bool:
         """Send parts of a file; return False if the store never answers to this machine."""
-        for part in parts:
-            try:
-                self._store.put(path, int(part.offset), int(part.size_bytes), part.url, part.headers)
-            except StoreAwayError:
-                if self._store.reached:
-                    raise
-                return False
+        return all(
+            self._reaches(
+                self._store.put, path, int(part.offset), int(part.size_bytes), part.url, part.headers
+            )
+            for part in parts
+        )
+
+    def _reaches(self, transfer: Callable[..., None], *given: object) -> bool:
+        """Do a transfer; return False if the store never answers to this machine."""
+        try:
+            transfer(*given)
+        except StoreAwayError:
+            if self._store.reached:
+                raise
+            return False
         return True
 
     def get_file(self, sha256: str, target: Path) -> None:
@@ -223,15 +188,10 @@ class Connection:
     def _read(self, url: str, partial: Path) -> bool:
         """Read an address of the store; return False if it never answers here, or has no such file."""
         try:
-            self._store.get(url, partial)
+            return self._reaches(self._store.get, url, partial)
         except FileNotFoundError:
             # The server says what is wrong with it.
             return False
-        except StoreAwayError:
-            if self._store.reached:
-                raise
-            return False
-        return True
 
 
 def _raise_if_final(error: grpc.RpcError) -> None:

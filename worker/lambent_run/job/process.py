@@ -27,13 +27,13 @@ from lambent_run.job.connection import (
     EXIT_UNREACHABLE,
     Connection,
     FencedError,
-    Identity,
     RefusedError,
     UnreachableError,
 )
 from lambent_run.job.order import Check, Order, Pipeline
 from lambent_run.job.run_limits import limit_run
 from lambent_run.job.server_reporter import ServerReporter, media_type
+from lambent_run.job.servers import Identity
 from lambent_run.run.parameters import JobParameters
 
 # How libraries without Python's MemoryError say it: torch, onnxruntime, C++.

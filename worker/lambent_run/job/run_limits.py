@@ -6,7 +6,7 @@ import resource
 import sys
 from pathlib import Path
 
-from lambent_run.job.connection import Identity
+from lambent_run.job.servers import Identity
 
 _PR_SET_NO_NEW_PRIVS = 38
 

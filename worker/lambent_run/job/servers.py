@@ -4,14 +4,18 @@ Addresses: `unix:/path`, `tls:host:port`, and `tcp:host:port` where an operator 
 """
 
 import functools
+import json
+import os
 import random
 import threading
 import time
-from collections.abc import Iterable, Iterator
-from typing import Any, Protocol
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import grpc
-from lambent_proto.v1 import worker_pb2_grpc
+from lambent_proto.v1 import worker_pb2, worker_pb2_grpc
 
 RETURN_AFTER_S = 30.0
 """Time after which a run that has changed servers tries its own again."""
@@ -38,20 +42,43 @@ class AwayError(Exception):
     """The server at an address that was tried does not know this run: it is another installation."""
 
 
-class KnownServers(Protocol):
-    """What a run knows about its servers when it starts."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Identity:
+    """Which run this process is, and where its server is."""
+
+    job_id: str
+    run: int
+    address: str
+    token: str
+    work_dir: Path
+    memory_bytes: int = 0
+    """Limit of what the pipeline may allocate; 0 for none."""
+    file_bytes: int = 0
+    """Limit of the size of a file that it may write; 0 for none."""
+    processes: int = 0
+    """Limit of its processes and threads; 0 for none."""
+    give_up_after_s: float = 0.0
+    """Time without a server after which the run ends itself; 0 for never."""
+    stop_grace_s: float = 30.0
+    """Time that the pipeline has to end when a server says that it must."""
+    servers: tuple[str, ...] = ()
+    """Addresses of all servers, the nearest first; `address` is that of the one that started the run."""
+    authority: str = ""
+    """Certificates (PEM) by which servers on other machines are checked; empty: those that gRPC brings."""
+    authority_name: str = ""
+    """The name in the servers' certificates, if it is not their address."""
+
+    @classmethod
+    def from_environment(cls, environment: Mapping[str, str] = os.environ) -> "Identity":
+        """Return the identity in `LAMBENT_RUN`."""
+        given = json.loads(environment["LAMBENT_RUN"])
+        servers = tuple(given.get("servers", ()))
+        return cls(**{**given, "work_dir": Path(given["work_dir"]).absolute(), "servers": servers})
 
     @property
-    def address(self) -> str: ...
-
-    @property
-    def servers(self) -> tuple[str, ...]: ...
-
-    @property
-    def authority(self) -> str: ...
-
-    @property
-    def authority_name(self) -> str: ...
+    def fence(self) -> worker_pb2.Fence:
+        """Return the fence that every request carries."""
+        return worker_pb2.Fence(job_id=self.job_id, run=self.run)
 
 
 def open_channel(address: str, authority: str = "", authority_name: str = "") -> grpc.Channel:
@@ -69,27 +96,19 @@ def open_channel(address: str, authority: str = "", authority_name: str = "") ->
     return grpc.insecure_channel(address, options=_UNIX_OPTIONS)
 
 
-class _ServerConnection:
-    """The channel to one server, and the calls over it."""
-
-    def __init__(self, address: str, known: KnownServers) -> None:
-        self.address = address
-        self.channel = open_channel(address, known.authority, known.authority_name)
-        self.stub = worker_pb2_grpc.WorkerServiceStub(self.channel)
-
-
 class Servers:
     """Calls go to the run's own server, or, while that does not answer, to one of the others.
 
     Safe to use from several threads. A call that fails is not repeated here: the next one goes elsewhere.
     """
 
-    def __init__(self, known: KnownServers) -> None:
+    def __init__(self, known: Identity) -> None:
         self._known = known
         self._lock = threading.Lock()
         self._home = known.address
         self._addresses = [known.address]
-        self._connections: dict[str, _ServerConnection] = {}
+        self._channels: dict[str, grpc.Channel] = {}
+        self._stubs: dict[str, worker_pb2_grpc.WorkerServiceStub] = {}
         self._current = known.address
         self._away_from_home = ""
         """The server that answered last, while the own one is tried again."""
@@ -120,44 +139,44 @@ class Servers:
     def close(self) -> None:
         """Close all channels."""
         with self._lock:
-            for connection in self._connections.values():
-                connection.channel.close()
+            for channel in self._channels.values():
+                channel.close()
 
     def _invoke(self, name: str, request: Any, **given: Any) -> Any:
-        connection = self._choose()
+        address, stub = self._choose()
         try:
-            answer = getattr(connection.stub, name)(request, **given)
+            answer = getattr(stub, name)(request, **given)
         except grpc.RpcError as error:
-            self._note(connection, error)
+            self._note(address, error)
             raise
-        return self._pieces(connection, answer) if isinstance(answer, Iterator) else answer
+        return self._pieces(address, answer) if isinstance(answer, Iterator) else answer
 
-    def _pieces(self, connection: _ServerConnection, answer: Iterable[Any]) -> Iterator[Any]:
+    def _pieces(self, address: str, answer: Iterable[Any]) -> Iterator[Any]:
         try:
             yield from answer
         except grpc.RpcError as error:
-            self._note(connection, error)
+            self._note(address, error)
             raise
 
-    def _choose(self) -> _ServerConnection:
+    def _choose(self) -> tuple[str, worker_pb2_grpc.WorkerServiceStub]:
         with self._lock:
             if self._current != self._home and time.monotonic() >= self._return_at:
                 self._away_from_home, self._current = self._current, self._home
-            return self._connection(self._current)
+            address = self._current
+            if address not in self._stubs:
+                channel = open_channel(address, self._known.authority, self._known.authority_name)
+                self._channels[address] = channel
+                self._stubs[address] = worker_pb2_grpc.WorkerServiceStub(channel)
+            return address, self._stubs[address]
 
-    def _connection(self, address: str) -> _ServerConnection:
-        if address not in self._connections:
-            self._connections[address] = _ServerConnection(address, self._known)
-        return self._connections[address]
-
-    def _note(self, connection: _ServerConnection, error: grpc.RpcError) -> None:
+    def _note(self, address: str, error: grpc.RpcError) -> None:
         """Change servers if this one does not answer; raise AwayError if it does not know the run."""
-        foreign = error.code() == grpc.StatusCode.UNAUTHENTICATED and connection.address != self._home
+        foreign = error.code() == grpc.StatusCode.UNAUTHENTICATED and address != self._home
         if foreign or error.code() in _AWAY:
             with self._lock:
-                self._leave(connection.address)
+                self._leave(address)
         if foreign:
-            raise AwayError(f"{connection.address} does not know this run") from error
+            raise AwayError(f"{address} does not know this run") from error
 
     def _leave(self, address: str) -> None:
         # Another thread may have done so already.

@@ -21,10 +21,10 @@ from lambent_run.job.connection import (
     EXIT_UNREACHABLE,
     Connection,
     FencedError,
-    Identity,
     RefusedError,
     UnreachableError,
 )
+from lambent_run.job.servers import Identity
 
 FIRST_HEARTBEAT_S = 1.0
 FENCED_GRACE_S = 1.0

@@ -102,5 +102,6 @@ def run_task(context: TaskContext, inputs: str) -> None:
 
 def _task_function(name: str) -> Callable[[TaskContext], None]:
     """Return the function of a task; only the module that is needed is imported, and with it torch."""
-    run: Callable[[TaskContext], None] = import_module(f"lambent_run.run.tasks.{name}").run
-    return run
+    module, function = ("stages", name) if name in DIVIDED else (name, "run")
+    task: Callable[[TaskContext], None] = getattr(import_module(f"lambent_run.run.tasks.{module}"), function)
+    return task

@@ -61,7 +61,7 @@ def _train(order: RankOrder, starter: "_Starter") -> None:
         clock=order.clock,
         ranks=ranks,
     )
-    import_module(f"lambent_run.run.tasks.{order.task}").run(context)
+    getattr(import_module("lambent_run.run.tasks.stages"), order.task)(context)
 
 
 class _Starter:

@@ -4,7 +4,8 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from lambent_asset.textures.photo_view import SOLID, Mesh, Photograph
+from lambent_asset.mesh.mesh import Mesh
+from lambent_asset.textures.photo_view import SOLID, Photograph
 from lambent_core.scene import Camera, View
 from lambent_relight.cameras import turntable
 from support.atlas_box import SIZES, atlas_box

@@ -15,7 +15,7 @@ from flashcache.training.stage_two import StageTwo
 from lambent_core.errors import Stopped
 from lambent_run.run.context import TaskContext
 from lambent_run.run.spec import RunSpec
-from lambent_run.run.tasks import cache
+from lambent_run.run.tasks import stages
 from lambent_run.run.tasks.training import domain_for, drive, load_trained, new_model, training_pixels
 from support.lit_sphere import lit_sphere
 from support.recording_reporter import RecordingReporter
@@ -100,8 +100,8 @@ def test_stage_one_trains_in_the_hull_and_stage_two_goes_on_in_what_is_left_of_i
     context = context_of(tmp_path, config)
     cache_context = replace(context, task="cache")
     cache_context.folder.mkdir()
-    monkeypatch.setattr(cache, "read_scene", lambda context: SCENE)
-    cache.run(cache_context)
+    monkeypatch.setattr(stages, "read_scene", lambda context: SCENE)
+    stages.cache(cache_context)
     model = load_trained(context, SCENE, "cache")
     hull = hull_of(SCENE, config.model.occupancy)
     assert hull is not None
