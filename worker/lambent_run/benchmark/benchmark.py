@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lambent_core.errors import UsageError
-from lambent_core.files import read_record, write_json
+from lambent_core.files import read_record, whole_file, write_json
 
 from lambent_run.benchmark.plan import Cell
 from lambent_run.benchmark.results import average_rows, differences, finished, scene_rows
@@ -69,9 +69,8 @@ def write_tables(
     )
     text = markdown(content)
     for name, written in (("md", text), ("csv", as_csv(content)), ("json", as_json(content))):
-        partial = out / f"table.{name}.tmp"
-        partial.write_text(written, encoding="utf-8")
-        partial.replace(out / f"table.{name}")
+        with whole_file(out / f"table.{name}") as partial:
+            partial.write_text(written, encoding="utf-8")
     return text
 
 

@@ -98,10 +98,13 @@ def _scene(folder: Path) -> SuiteScene:
 
 
 def find_environments(suite: Path, given: Path | None) -> Path | None:
-    """Return the folder of environment maps: the one given, one at its usual place in the suite, or None."""
-    if given is not None:
-        return given
-    return next((suite / name for name in ENVIRONMENT_FOLDERS if (suite / name).is_dir()), None)
+    """Return the folder of environment maps: the one given, one at its usual place in the suite, or None.
+
+    Its path is absolute, for processes that start in other folders.
+    """
+    usual = (suite / name for name in ENVIRONMENT_FOLDERS if (suite / name).is_dir())
+    folder = next(usual, None) if given is None else given
+    return None if folder is None else folder.resolve()
 
 
 def _has_cameras(folder: Path) -> bool:

@@ -71,8 +71,6 @@ def benchmark(
     from lambent_run.benchmark.suite import find_environments, find_scenes
     from lambent_run.report.request import EvaluationRequest, as_shadows
 
-    names = tuple(name for item in scenes or () for name in item.split(",") if name)
-    maps = find_environments(suite_dir, environments)
     request = EvaluationRequest(
         num_views=views,
         num_repeats=repeats,
@@ -80,11 +78,11 @@ def benchmark(
         antialias=antialias,
         max_side=max_side,
         shadows=as_shadows(shadows),
-        environments=None if maps is None else maps.resolve(),
+        environments=find_environments(suite_dir, environments),
         lpips_weights=tuple(path.resolve() for path in lpips_weights or ()),
     )
     cells = plan(
-        find_scenes(suite_dir, names),
+        find_scenes(suite_dir, _names(scenes)),
         parse_variants(ablations or ()),
         parse_seeds(seeds),
         parse_lights(lights),
@@ -93,7 +91,6 @@ def benchmark(
         evaluation=request,
         keep_predictions=keep_predictions,
     )
-
     outcome = run_benchmark(
         cells,
         out=out,
@@ -104,6 +101,11 @@ def benchmark(
         tell=lambda line: typer.echo(json.dumps({"event": line}) if as_json else line, err=not as_json),
     )
     _tell(outcome, out, as_json=as_json)
+
+
+def _names(scenes: list[str] | None) -> tuple[str, ...]:
+    """Return the names of a repeatable option, each of which may hold several with commas."""
+    return tuple(name for item in scenes or () for name in item.split(",") if name)
 
 
 def _tell(outcome: "Outcome", out: Path, *, as_json: bool) -> None:

@@ -16,8 +16,8 @@ from lambent_run.report.common_factor import common_factor_note
 from lambent_run.report.environment_scores import score_environments
 from lambent_run.report.page import write_page
 from lambent_run.report.predictions import (
-    encoded,
     load,
+    over_white,
     predict_relit,
     predict_surfaces,
     predict_uncertainty,
@@ -91,7 +91,6 @@ def preview_sheet(subject: Subject) -> bytes:
 
 def _sheet_row(subject: Subject, view: View) -> list[Float[ndarray, "height width 3"]]:
     light = subject.scene.lights[0]
-    image = view.images[light]
     albedo = load(subject.out, "pred", view, "albedo")
     normal = load(subject.out, "pred", view, "normal")
     rendered = load(subject.out, "pred", view, f"rgba_{light}")
@@ -100,7 +99,7 @@ def _sheet_row(subject: Subject, view: View) -> list[Float[ndarray, "height widt
     assert rendered is not None
     alpha = albedo[..., 3:]
     return [
-        figures.picture(encoded(image[..., :3], image[..., 3:]).astype(np.float64)),
+        over_white(view.images[light]),
         figures.picture(rendered),
         figures.albedo_map(albedo[..., :3]) * alpha + (1.0 - alpha),
         figures.normal_map(normal, alpha),

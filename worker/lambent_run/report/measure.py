@@ -15,7 +15,7 @@ from lambent_relight.bundle.graphs import SurfaceCaches
 from numpy import ndarray
 
 from lambent_run.report import figures
-from lambent_run.report.predictions import encoded
+from lambent_run.report.predictions import over_white
 
 SHOWN_VIEWS = 2
 SHOWN_SIDE = 128
@@ -60,8 +60,8 @@ def _measure_view(
     traced = render_gbuffer(model, camera, light=model.light_at(0, view.light_turn))
     opacity = traced.opacity
     straight = traced.cache_rgb / np.maximum(opacity, 1e-3)
-    seen = figures.picture(encoded(straight, opacity).astype(np.float64))
-    wanted = figures.picture(encoded(photograph[..., :3], photograph[..., 3:]).astype(np.float64))
+    seen = over_white(np.concatenate([straight, opacity], axis=-1))
+    wanted = over_white(photograph)
     (folder / f"{view.name}.png").write_bytes(figures.png(seen, max_side=SHOWN_SIDE))
     (folder / f"photo_{view.name}.png").write_bytes(_photograph(view.images[light]))
     exported = caches.gbuffer(*relight_camera(view.name, camera).rays())
@@ -85,8 +85,7 @@ def write_photographs(views: tuple[View, ...], light: str, folder: Path) -> None
 
 def _photograph(image: Float[ndarray, "height width 4"]) -> bytes:
     """Return a photograph for comparison in viewers: PNG, sRGB over white."""
-    shown = figures.picture(encoded(image[..., :3], image[..., 3:]).astype(np.float64))
-    return figures.png(shown, max_side=PHOTO_SIDE)
+    return figures.png(over_white(image), max_side=PHOTO_SIDE)
 
 
 def _reduced(

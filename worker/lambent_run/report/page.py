@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from lambent_run.report import figures
 from lambent_run.report.environment_scores import FOLDER, LUMINANCE, compare_environments
-from lambent_run.report.predictions import CACHE_FOLDER, DIRECT_FOLDER, ERROR_SUFFIX, encoded, load
+from lambent_run.report.predictions import CACHE_FOLDER, DIRECT_FOLDER, ERROR_SUFFIX, load, over_white
 from lambent_run.report.published import METRICS
 
 MAX_VIEWS = 6
@@ -128,16 +128,13 @@ def environment_figures(out: Path, lights: Sequence[str]) -> list[tuple[str, str
         white = max(2.0 * float((truth @ LUMINANCE).mean()), 1e-8)
         scaled = recovered * compare_environments(recovered, truth).factor
         for title, image in ((f"true light, {light}", truth), (f"recovered, {light}", scaled)):
-            opaque = encoded(image / white, np.ones_like(image[..., :1]))
-            shown.append((title, figures.data_uri(figures.picture(opaque.astype(np.float64)))))
+            opaque = np.concatenate([image / white, np.ones_like(image[..., :1])], axis=-1)
+            shown.append((title, figures.data_uri(over_white(opaque))))
     return shown
 
 
 def _photograph(view: View, light: str) -> Picture | None:
-    if light not in view.images:
-        return None
-    image = view.images[light]
-    return figures.picture(encoded(image[..., :3], image[..., 3:]).astype(np.float64))
+    return over_white(view.images[light]) if light in view.images else None
 
 
 def _light_line(out: Path, view: View, light: str) -> list[tuple[str, Picture]]:

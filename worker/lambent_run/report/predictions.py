@@ -30,10 +30,11 @@ from flashcache.evaluation.views import (
 )
 from jaxtyping import Float, Float32
 from lambent_core.exr import write_exr
-from lambent_core.files import write_json
+from lambent_core.files import whole_file, write_json
 from lambent_core.scene import View, evenly_spaced
 from numpy import ndarray
 
+from lambent_run.report import figures
 from lambent_run.report.request import UNSCALED_VIEWS, Subject
 from lambent_run.report.uncertainty import uncertainty_map
 
@@ -138,6 +139,11 @@ def encoded(
     return np.concatenate([srgb_from_linear(values).numpy(), np.clip(opacity, 0.0, 1.0)], axis=-1)
 
 
+def over_white(image: Float[ndarray, "height width 4"]) -> Float[ndarray, "height width 3"]:
+    """Return a photograph, linear straight alpha, as pages show it: sRGB-encoded over white, 0..1."""
+    return figures.picture(encoded(image[..., :3], image[..., 3:]).astype(np.float64))
+
+
 def load(out: Path, folder: str, view: View, name: str) -> Float[ndarray, "height width channels"] | None:
     """Return a predicted map as float64, or None where it was not rendered."""
     path = out / folder / view.name / f"{name}.npy"
@@ -196,8 +202,5 @@ def exr_channels(picture: Picture) -> dict[str, Float32[ndarray, "height width"]
 
 def save_array(path: Path, values: Float[ndarray, "..."]) -> None:
     """Write a float32 array; the file is there whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".tmp")
-    with partial.open("wb") as file:
+    with whole_file(path) as partial, partial.open("wb") as file:
         np.save(file, np.ascontiguousarray(values, dtype=np.float32))
-    partial.replace(path)

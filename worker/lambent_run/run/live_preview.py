@@ -23,7 +23,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from lambent_run.report import figures
-from lambent_run.report.predictions import encoded
+from lambent_run.report.predictions import over_white
 
 NAME = "turning_{task}"
 """Name of the previews of a task; bundles leave them out, for they depend on the machine's speed."""
@@ -193,4 +193,4 @@ def turned_picture(model: InverseModel, camera: Camera) -> Float32[ndarray, "hei
     rgba = values.reshape(camera.height, camera.width, 4).nan_to_num().cpu().numpy()
     opacity = np.clip(rgba[..., 3:], 0.0, 1.0)
     straight = np.maximum(rgba[..., :3], 0.0) / np.maximum(opacity, 1e-3)
-    return figures.picture(encoded(straight, opacity).astype(np.float64)).astype(np.float32)
+    return over_white(np.concatenate([straight, opacity], axis=-1)).astype(np.float32)

@@ -4,6 +4,8 @@ import os
 import pickle
 import signal
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -71,22 +73,25 @@ class _Starter:
         self._connection = connection
 
     def send(self, *message: Any) -> None:
-        try:
+        with _ending():
             self._connection.send(message)
-        except OSError:
-            os._exit(1)
 
     def receive(self) -> Any:
-        try:
+        with _ending():
             return self._connection.recv()
-        except (EOFError, OSError):
-            os._exit(1)
 
     def has_said_something(self) -> bool:
-        try:
+        with _ending():
             return self._connection.poll()
-        except OSError:
-            os._exit(1)
+
+
+@contextmanager
+def _ending() -> Iterator[None]:
+    """End this process where the one that started it is gone."""
+    try:
+        yield
+    except (EOFError, OSError):
+        os._exit(1)
 
 
 class RankReporter:

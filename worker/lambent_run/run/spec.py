@@ -178,20 +178,7 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
     the ones before were refused; preset, settings and corrections until the training begins; the grey card at
     any time.
     """
-    wanted = {
-        "preset": spec.preset,
-        "config": config_record(spec.config),
-        "seed": spec.seed,
-        "device": device,
-        "lights": list(spec.lights),
-        "layout": spec.layout,
-        "known_lights": dict(spec.known_lights),
-        "masks": spec.masks,
-        "light_fixed_to": spec.light_fixed_to,
-        "corrections": corrections_hash(spec),
-        "grey_card": card_text(spec),
-        "scene": str(spec.scene.resolve()),
-    }
+    wanted = _recorded(spec, device)
     if (run_dir / "run.json").exists():
         kept = run_record(run_dir)
         if config_record(config_of(kept["config"])) != kept["config"]:
@@ -231,6 +218,24 @@ def keep_run(run_dir: Path, spec: RunSpec, device: str) -> None:
         (run_dir / NAME).unlink(missing_ok=True)
 
 
+def _recorded(spec: RunSpec, device: str) -> dict[str, Any]:
+    """Return what `run.json` says of a run, besides when and with what it was made."""
+    return {
+        "preset": spec.preset,
+        "config": config_record(spec.config),
+        "seed": spec.seed,
+        "device": device,
+        "lights": list(spec.lights),
+        "layout": spec.layout,
+        "known_lights": dict(spec.known_lights),
+        "masks": spec.masks,
+        "light_fixed_to": spec.light_fixed_to,
+        "corrections": corrections_hash(spec),
+        "grey_card": card_text(spec),
+        "scene": str(spec.scene.resolve()),
+    }
+
+
 def read_run(run_dir: Path) -> tuple[RunSpec, str]:
     """Return the specification and the device of the run in `run_dir`; `UsageError` where there is none."""
     record = run_record(run_dir)
@@ -266,21 +271,12 @@ def with_kept_corrections(spec: RunSpec, run_dir: Path) -> RunSpec:
     return replace(spec, corrections=read_run(run_dir)[0].corrections)
 
 
-_RECORDED = frozenset(
-    {
-        *("preset", "config", "seed", "device", "lights", "layout", "known_lights", "masks"),
-        *("light_fixed_to", "corrections", "grey_card", "scene"),
-    }
-)
-"""What every `run.json` says."""
-
-
 def run_record(run_dir: Path) -> dict[str, Any]:
     """Return the contents of `run.json`; raises `UsageError` where there is no run of this version."""
     try:
         record: dict[str, Any] = json.loads((run_dir / "run.json").read_text(encoding="utf-8"))
         major = record["schema_version"].split(".")[0]
-        if missing := _RECORDED - record.keys():
+        if missing := _recorded(RunSpec(scene=run_dir, config=None), "").keys() - record.keys():
             raise KeyError(*missing)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(

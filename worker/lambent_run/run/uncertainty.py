@@ -6,6 +6,7 @@ import numpy as np
 from flashcache.physical.model import InverseModel
 from flashcache.polish.confidence import FILE as CONFIDENCE
 from flashcache.polish.confidence import Confidence
+from lambent_core.files import whole_file
 from lambent_core.scene import Scene
 from lambent_relight.bundle.uncertainty import CHANNELS, UncertaintyGrid
 
@@ -32,11 +33,9 @@ def kept_uncertainty(run_dir: Path) -> UncertaintyGrid | None:
 def keep_uncertainty(run_dir: Path, grid: UncertaintyGrid) -> None:
     """Write the grid beside the evaluation, with the hash of what it was measured on."""
     path = task_folder(run_dir, "evaluate") / FILE
-    partial = path.with_suffix(".tmp")
-    trained = _trained(run_dir)
-    with partial.open("wb") as file:
-        np.savez(file, values=grid.values, low=grid.low, high=grid.high, trained=np.array(trained))
-    partial.replace(path)
+    trained = np.array(_trained(run_dir))
+    with whole_file(path) as partial, partial.open("wb") as file:
+        np.savez(file, values=grid.values, low=grid.low, high=grid.high, trained=trained)
 
 
 def uncertainty_of_run(context: TaskContext, model: InverseModel, scene: Scene) -> UncertaintyGrid | None:
