@@ -130,6 +130,8 @@ def _work(
     fence = connection.identity.fence
     try:
         bundle = _do(connection, reporter, start, pipeline, check)
+        if reporter.broken is not None:
+            raise reporter.broken
     except (FencedError, UnreachableError):
         raise
     except Exception as error:
@@ -172,7 +174,7 @@ def _do(
         from lambent_run.job.prepare import show_kept
 
         if show_kept(connection, reporter, start, parameters, identity.work_dir):
-            return _unbroken(reporter, None)
+            return None
     scene_dir = fetch_scene(connection, start, identity.work_dir.parent / "scene")
     checked = None
     if start.check_scene or start.kind == "check":
@@ -192,21 +194,12 @@ def _do(
         parameters=parameters,
         checked=checked,
     )
-    bundle = None
     if start.HasField("render"):
         from lambent_run.job.render import render_pictures
 
         render_pictures(order)
-    else:
-        bundle = pipeline(order)
-    return _unbroken(reporter, bundle)
-
-
-def _unbroken(reporter: ServerReporter, bundle: Path | None) -> Path | None:
-    """Return the bundle's folder; raises what has ended the line to the server meanwhile."""
-    if reporter.broken is not None:
-        raise reporter.broken
-    return bundle
+        return None
+    return pipeline(order)
 
 
 def _report_scene(connection: Connection, name: str, checked: CaptureCheck) -> None:
