@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lambent_asset.given_mesh.glb_file import GivenMesh
 from PIL import Image
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]], np.float32)
@@ -17,6 +18,22 @@ SQUARE_UV = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]], np.float3
 SQUARE_FACES = np.array([[0, 1, 2], [0, 2, 3]], np.uint16)
 _COMPONENT = {"f": 5126, "H": 5123, "I": 5125}
 _KIND = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
+
+
+def given_mesh(
+    vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray | None = None, **changes: Any
+) -> GivenMesh:
+    """Return triangles as they are read from a file, with normals along +z and no material."""
+    vertices = np.asarray(vertices, np.float32)
+    given = {
+        "normals": np.broadcast_to(np.float32([0.0, 0.0, 1.0]), vertices.shape).copy(),
+        "uv": np.zeros((len(vertices), 2), np.float32) if uv is None else np.asarray(uv, np.float32),
+        "part_of_face": np.zeros(len(faces), np.int32),
+        "maps": (None,),
+        "has_uv": (uv is not None,),
+        "ignored": (),
+    }
+    return GivenMesh(vertices=vertices, faces=np.asarray(faces, np.int32), **{**given, **changes})
 
 
 class GlbWriter:

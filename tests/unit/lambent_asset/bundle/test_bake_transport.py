@@ -15,8 +15,8 @@ WALL = Quad((-1, 1, 0), (2, 0, 0), (0, 0, 2))
 OPEN_SKY = np.sqrt(4.0 * np.pi)
 
 
-def baked(quads, side, tmp_path, **settings):
-    surface, reflectors, _ = surface_of(quads, side)
+def baked(quads, side, tmp_path, *, given=None, **settings):
+    surface, reflectors = given or surface_of(quads, side)[:2]
     transport, figures = bake_transport(
         surface,
         reflectors,
@@ -89,14 +89,7 @@ def test_white_surfaces_in_uniform_light_send_as_much_as_they_get(tmp_path, ragg
         reflectors = Reflectors(*(value[kept] for value in values))
         first = coarse_blocks(surface.size, surface.texel_index)[0]
         assert (np.diff(first) < 0).any()
-    transport, _ = bake_transport(
-        surface,
-        reflectors,
-        trace_quads(quads),
-        origin_offset=1e-3,
-        config=TransportConfig(num_bounces=12),
-        store=tmp_path / "rays",
-    )
+    _, transport, _ = baked(quads, 12, tmp_path, given=(surface, reflectors), num_bounces=12)
     direct = transport.direct[0] * OPEN_SKY
     total = direct[:, None] + transport.indirect[0].T[transport.coarse_of_texel] * OPEN_SKY
     # The specular lobe of a rough dielectric (F0 0.04) adds a little; energy may not get lost.

@@ -15,22 +15,25 @@ from support.sphere_model import sphere_model
 MODEL = torch.nn.Linear(1, 1)
 
 
+def saved(folder: Path, name: str, constants: dict[str, float], nodes: list, outputs: str = "y") -> Path:
+    """Write a graph of one input `x`, and return its file."""
+    made = [numpy_helper.from_array(np.float32(value), each) for each, value in constants.items()]
+    ends = [
+        helper.make_tensor_value_info(each, TensorProto.FLOAT, ["row", 1]) for each in ("x", *outputs.split())
+    ]
+    graph = helper.make_graph(nodes, name, ends[:1], ends[1:], made)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
+    onnx.save(model, folder / f"{name}.onnx")
+    return folder / f"{name}.onnx"
+
+
 def step_graph(folder: Path, threshold: float) -> Path:
     """Write the graph x -> 1 where x < threshold, else 0."""
-    constants = [
-        numpy_helper.from_array(np.float32(value), name)
-        for name, value in (("threshold", threshold), ("one", 1.0), ("zero", 0.0))
-    ]
     nodes = [
         helper.make_node("Less", ["x", "threshold"], ["below"]),
         helper.make_node("Where", ["below", "one", "zero"], ["y"]),
     ]
-    ends = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["row", 1]) for name in "xy"]
-    graph = helper.make_graph(nodes, "step", ends[:1], ends[1:], constants)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
-    path = folder / "step.onnx"
-    onnx.save(model, path)
-    return path
+    return saved(folder, "step", {"threshold": threshold, "one": 1.0, "zero": 0.0}, nodes)
 
 
 def step_at_half(model: torch.nn.Module, inputs) -> dict[str, torch.Tensor]:
@@ -92,8 +95,7 @@ def test_the_model_is_asked_with_full_precision_products(tmp_path):
 
 def shifted_graph(folder: Path, shift: float) -> Path:
     """Write the graph x -> x / 4 + 16 max(x - 0.5, 0) + shift where x > 0.5."""
-    shapes = {"half": 0.5, "steep": 16.0, "flat": 0.25, "shift": shift, "zero": 0.0}
-    constants = [numpy_helper.from_array(np.float32(value), name) for name, value in shapes.items()]
+    constants = {"half": 0.5, "steep": 16.0, "flat": 0.25, "shift": shift, "zero": 0.0}
     nodes = [
         helper.make_node("Sub", ["x", "half"], ["above"]),
         helper.make_node("Relu", ["above"], ["ramp"]),
@@ -104,11 +106,7 @@ def shifted_graph(folder: Path, shift: float) -> Path:
         helper.make_node("Where", ["beyond", "shift", "zero"], ["more"]),
         helper.make_node("Add", ["sum", "more"], ["y"]),
     ]
-    ends = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["row", 1]) for name in "xy"]
-    graph = helper.make_graph(nodes, "ramp", ends[:1], ends[1:], constants)
-    path = folder / "ramp.onnx"
-    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9), path)
-    return path
+    return saved(folder, "ramp", constants, nodes)
 
 
 def ramp(model: torch.nn.Module, inputs) -> dict[str, torch.Tensor]:
@@ -125,23 +123,13 @@ def test_what_rounding_of_the_input_moves_is_allowed_on_top(tmp_path):
 
 def jumping_graph(folder: Path, threshold: float) -> Path:
     """Write the graph x -> x, and 2 where x < threshold, else 0."""
-    constants = [
-        numpy_helper.from_array(np.float32(value), name)
-        for name, value in (("threshold", threshold), ("two", 2.0), ("zero", 0.0))
-    ]
     nodes = [
         helper.make_node("Identity", ["x"], ["opacity"]),
         helper.make_node("Less", ["x", "threshold"], ["below"]),
         helper.make_node("Where", ["below", "two", "zero"], ["distance"]),
     ]
-    ends = [
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, ["row", 1])
-        for name in ("x", "opacity", "distance")
-    ]
-    graph = helper.make_graph(nodes, "jump", ends[:1], ends[1:], constants)
-    path = folder / "jump.onnx"
-    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9), path)
-    return path
+    constants = {"threshold": threshold, "two": 2.0, "zero": 0.0}
+    return saved(folder, "jump", constants, nodes, "opacity distance")
 
 
 def test_an_output_on_the_edge_at_which_another_jumps_does_not_count(tmp_path, monkeypatch):

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from lambent_asset.given_mesh import fine_albedo as module
 from lambent_asset.given_mesh.fine_albedo import albedo_size, fine_albedo
-from lambent_asset.given_mesh.glb_file import GivenMesh
 from lambent_asset.given_mesh.glb_maps import Maps
 from lambent_asset.mesh.atlas import Unwrapped
-from support.given_glb import SQUARE, SQUARE_FACES, SQUARE_UV
+from support.given_glb import SQUARE, SQUARE_FACES, SQUARE_UV, given_mesh
 
 RNG = np.random.default_rng(7)
 
@@ -25,16 +24,9 @@ def given(*materials):
     """Return one square per material; each has the whole of its picture."""
     count = len(materials)
     vertices = np.concatenate([SQUARE + np.float32([2.0 * k, 0.0, 0.0]) for k in range(count)])
-    return GivenMesh(
-        vertices=vertices,
-        normals=np.broadcast_to(np.float32([0.0, 0.0, 1.0]), vertices.shape).copy(),
-        uv=np.tile(SQUARE_UV, (count, 1)),
-        faces=np.concatenate([SQUARE_FACES.astype(np.int32) + 4 * k for k in range(count)]),
-        part_of_face=np.repeat(np.arange(count, dtype=np.int32), 2),
-        maps=materials,
-        has_uv=(True,) * count,
-        ignored=(),
-    )
+    faces = np.concatenate([SQUARE_FACES.astype(np.int32) + 4 * k for k in range(count)])
+    parts = {"part_of_face": np.repeat(np.arange(count, dtype=np.int32), 2), "has_uv": (True,) * count}
+    return given_mesh(vertices, faces, np.tile(SQUARE_UV, (count, 1)), maps=materials, **parts)
 
 
 def boxes(mesh, *places):

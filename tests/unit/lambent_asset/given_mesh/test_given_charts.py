@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lambent_asset.given_mesh.given_charts import chart_of_face, charts_of, touching_share
-from lambent_asset.given_mesh.glb_file import GivenMesh
 from lambent_asset.mesh import atlas
 from lambent_core.errors import WorkerError
-from support.given_glb import SQUARE, SQUARE_FACES
+from support.given_glb import SQUARE, SQUARE_FACES, given_mesh
 
 SIZE = 64
 
@@ -18,16 +17,8 @@ def squares(*places):
     count = len(places)
     uv = [[(left, bottom), (right, bottom), (right, top), (left, top)] for left, top, right, bottom in places]
     vertices = np.concatenate([SQUARE + np.float32([3.0 * k, 0.0, 0.0]) for k in range(count)])
-    return GivenMesh(
-        vertices=vertices,
-        normals=np.broadcast_to(np.float32([0.0, 0.0, 1.0]), vertices.shape).copy(),
-        uv=np.array(uv, np.float32).reshape(-1, 2),
-        faces=np.concatenate([SQUARE_FACES.astype(np.int32) + 4 * k for k in range(count)]),
-        part_of_face=np.zeros(2 * count, np.int32),
-        maps=(None,),
-        has_uv=(True,),
-        ignored=(),
-    )
+    faces = np.concatenate([SQUARE_FACES.astype(np.int32) + 4 * k for k in range(count)])
+    return given_mesh(vertices, faces, np.reshape(uv, (-1, 2)))
 
 
 def test_charts_two_texels_apart_are_kept_and_charts_that_touch_are_not():

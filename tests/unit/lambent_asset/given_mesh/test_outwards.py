@@ -1,27 +1,19 @@
 """Closed pieces that are inside out are turned, and nothing else is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
-from lambent_asset.given_mesh.glb_file import GivenMesh
 from lambent_asset.given_mesh.outwards import turned_outwards
 from lambent_relight.tracing.mesh_rays import MeshRays
+from support.given_glb import given_mesh
 
 
-def given(*pieces, normals=True):
+def given(*pieces):
     """Return the trimesh `pieces` as one mesh."""
     whole = trimesh.util.concatenate(pieces)
-    count = len(whole.vertices)
-    return GivenMesh(
-        vertices=whole.vertices.astype(np.float32),
-        normals=np.asarray(whole.vertex_normals, np.float32) * normals,
-        uv=np.zeros((count, 2), np.float32),
-        faces=whole.faces.astype(np.int32),
-        part_of_face=np.zeros(len(whole.faces), np.int32),
-        maps=(None,),
-        has_uv=(False,),
-        ignored=(),
-    )
+    return given_mesh(whole.vertices, whole.faces, normals=np.asarray(whole.vertex_normals, np.float32))
 
 
 def ball(radius=1.0, centre=(0.0, 0.0, 0.0), *, inside_out=False):
@@ -53,9 +45,7 @@ def test_a_ball_that_is_inside_out_is_turned_with_its_normals_and_stops_rays(cen
 
 def test_normals_that_pointed_outwards_already_stay():
     wrong = given(ball(inside_out=True))
-    right = GivenMesh(
-        **{name: getattr(wrong, name) for name in wrong.__slots__} | {"normals": -wrong.normals}
-    )
+    right = replace(wrong, normals=-wrong.normals)
     mesh, count = turned_outwards(right)
     assert count == 1
     np.testing.assert_array_equal(mesh.normals, right.normals)
@@ -66,10 +56,7 @@ def test_only_the_piece_that_is_inside_out_is_turned():
     faces = len(ball().faces)
     assert count == 1
     np.testing.assert_array_equal(mesh.faces[:faces], ball().faces)
-    other = GivenMesh(
-        **{name: getattr(mesh, name) for name in mesh.__slots__} | {"faces": mesh.faces[faces:]}
-    )
-    assert facing(other, (3.0, 0.0, 0.0)) == 1.0
+    assert facing(replace(mesh, faces=mesh.faces[faces:]), (3.0, 0.0, 0.0)) == 1.0
 
 
 def test_the_wall_of_a_hollow_faces_the_hollow():

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+import trimesh
 from lambent_asset.mesh.mesh import (
     Mesh,
     data_resolution,
@@ -28,8 +29,7 @@ def mesh(model):
 
 
 def signed_volume(mesh) -> float:
-    a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
-    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6.0)
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume
 
 
 def test_vertices_lie_on_the_ball(mesh):
@@ -113,11 +113,7 @@ def test_floaters_are_removed(model, monkeypatch):
 
 def test_matter_that_touches_the_box_is_closed_there(model):
     mesh = extract_mesh(model, (-0.8,) * 3, (0.8, 0.8, 0.0), 40)
-    edges = np.sort(
-        np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]), axis=1
-    )
-    _, counts = np.unique(edges, axis=0, return_counts=True)
-    assert (counts == 2).all()
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).is_watertight
     assert signed_volume(mesh) > 0.0
 
 

@@ -7,11 +7,9 @@ from flashcache.evaluation.gbuffer import camera_rays
 from lambent_asset.mesh.mesh import Mesh, extract_mesh
 from lambent_asset.mesh.mesh_depth import depth_agreement, median_distance
 from lambent_asset.mesh.mesh_settling import settled_mesh
-from lambent_core.scene import Camera, View
-from lambent_relight.cameras import look_at
+from lambent_core.scene import View
 from support.sphere_model import sphere_model
-
-SIDE = 48
+from support.square_views import square_camera
 
 
 @pytest.fixture(scope="module")
@@ -25,15 +23,7 @@ def views():
     return tuple(
         View(
             name=name,
-            camera=Camera(
-                width=SIDE,
-                height=SIDE,
-                focal_x=110.0,
-                focal_y=110.0,
-                centre_x=SIDE / 2,
-                centre_y=SIDE / 2,
-                camera_to_world=look_at(place, (0.0, 0.0, 0.0)),
-            ),
+            camera=square_camera(place, 48, 110.0),
             images={},
         )
         for name, place in places.items()

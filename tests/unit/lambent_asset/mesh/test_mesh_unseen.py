@@ -4,17 +4,11 @@ import numpy as np
 import pytest
 from lambent_asset.mesh.mesh import Mesh
 from lambent_asset.mesh.mesh_unseen import closed_smoothly, plain_where_unseen, unseen_vertices
-from lambent_core.scene import Camera, View
-from lambent_relight.cameras import look_at
-from skimage.measure import marching_cubes
+from lambent_core.scene import View
+from support.square_views import mesh_of, square_camera
 
 SIDE = 64
 CELL = 2.0 / 39
-
-
-def mesh_of(field: np.ndarray) -> Mesh:
-    vertices, faces, _, _ = marching_cubes(field, 0.0, gradient_direction="ascent")
-    return Mesh((vertices * CELL - 1.0).astype(np.float32), faces.astype(np.int32), CELL)
 
 
 def box(bumps: float, hollow: float = 0.0) -> Mesh:
@@ -27,17 +21,8 @@ def box(bumps: float, hollow: float = 0.0) -> Mesh:
 
 
 def view(place: tuple[float, float, float], alpha: float = 1.0, name: str = "a") -> View:
-    camera = Camera(
-        width=SIDE,
-        height=SIDE,
-        focal_x=100.0,
-        focal_y=100.0,
-        centre_x=SIDE / 2,
-        centre_y=SIDE / 2,
-        camera_to_world=look_at(place, (0.0, 0.0, 0.0)),
-    )
     image = np.full((SIDE, SIDE, 4), alpha, np.float32)
-    return View(name=name, camera=camera, images={"day": image})
+    return View(name=name, camera=square_camera(place, SIDE, 100.0), images={"day": image})
 
 
 def ring(height: float = 2.0, alpha: float = 1.0) -> tuple[View, ...]:

@@ -93,14 +93,19 @@ def test_broad_colours_stay_the_model_s(views, fine):
     np.testing.assert_allclose(mean, brown[0], rtol=0.03)
 
 
-def test_reflections_are_not_printed(views, fine):
-    # A glossy, dark box reflects as much as it scatters: without the reflection, contrast would be halved.
+def dark(positions):
+    return 0.3 * stripes(positions)
+
+
+def glossy_box():
+    """Return a glossy, dark box, which reflects as much as it scatters, and its photographs."""
     glossy = open_scene(BOX, 0.3 * MODEL, roughness=0.5)
+    return glossy, [photograph(BOX, glossy, camera, dark, sky()) for camera in around(8, 200)]
 
-    def dark(positions):
-        return 0.3 * stripes(positions)
 
-    shown = [photograph(BOX, glossy, camera, dark, sky()) for camera in around(8, 200)]
+def test_reflections_are_not_printed(fine):
+    """Without the reflection, contrast would be halved."""
+    glossy, shown = glossy_box()
     texture, _ = made(shown, glossy)
     assert np.median(errors(texture, fine, dark)) < 0.02
 
@@ -156,18 +161,21 @@ def test_clipped_pixels_are_left_to_other_photographs(views, fine):
     assert found.mean() < errors(made(views)[0], fine).mean() + 0.005
 
 
-def test_atlases_are_as_fine_as_the_photographs():
-    side = BOX.texel_size * BOX.size
-    assert automatic_size(BOX, 0.0, "full") == 1024
-    assert automatic_size(BOX, side / 200, "full") == 1024
-    assert automatic_size(BOX, side / 2048, "full") == 2048
-    assert automatic_size(BOX, side / 3000, "full") == 4096
-
-
-def test_atlases_are_no_larger_than_a_tier_allows():
-    pixel = BOX.texel_size * BOX.size / 50000
-    sizes = {tier: automatic_size(BOX, pixel, tier) for tier in ("lite", "full", "none")}
-    assert sizes == {"lite": 1024, "full": 4096, "none": 4096}
+@pytest.mark.parametrize(
+    ("pixels", "tier", "expected"),
+    [
+        (0, "full", 1024),
+        (200, "full", 1024),
+        (2048, "full", 2048),
+        (3000, "full", 4096),
+        # No larger than a tier allows.
+        *((50_000, tier, size) for tier, size in (("lite", 1024), ("full", 4096), ("none", 4096))),
+    ],
+)
+def test_atlases_are_as_fine_as_the_photographs(pixels, tier, expected):
+    """The photographs have so many pixels along a side of the atlas; 0: unknown."""
+    pixel = BOX.texel_size * BOX.size / pixels if pixels else 0.0
+    assert automatic_size(BOX, pixel, tier) == expected
 
 
 def test_atlases_are_no_coarser_than_transport():
@@ -201,12 +209,7 @@ def test_each_photograph_is_opened_twice_and_one_at_a_time(views):
 
 def test_a_photograph_that_is_darker_than_its_reflections_is_not_printed_black(fine):
     """Light that was found too bright would leave less than nothing for albedo."""
-    glossy = open_scene(BOX, 0.3 * MODEL, roughness=0.5)
-
-    def dark(positions):
-        return 0.3 * stripes(positions)
-
-    shown = [photograph(BOX, glossy, camera, dark, sky()) for camera in around(8, 200)]
+    glossy, shown = glossy_box()
     for view in shown:
         view.images["sky"][..., :3] *= 0.3
     texture, _ = made(shown, glossy)

@@ -185,19 +185,19 @@ def test_the_hash_of_another_tenants_file_opens_nothing(run: Connection, stage: 
     services = stage.api.services
     path, stranger = written(tmp_path, b"theirs"), type(TENANT)("stranger")
     services.store.put_file(services.database.write, stranger, path, sha256(b"theirs"), "text/plain")
-    identity = run.identity
-    for method in ("LocateBlob", "CompleteUpload", "PlanUpload"):
-        request = getattr(worker_pb2, f"{method}Request")(fence=identity.fence, sha256=sha256(b"theirs"))
-        if method != "LocateBlob":
-            request.size_bytes = 6.0
-        call = getattr(stage.stub, method)
-        if method == "LocateBlob":
-            with pytest.raises(grpc.RpcError) as refused:
-                call(request, metadata=metadata(identity.job_id, 1, None), timeout=5)
-            assert refused.value.code() == grpc.StatusCode.NOT_FOUND
-        else:
-            answer = call(request, metadata=metadata(identity.job_id, 1, None), timeout=5)
-            assert answer.missing if method == "CompleteUpload" else not answer.stored
+    theirs = {"fence": run.identity.fence, "sha256": sha256(b"theirs")}
+    with pytest.raises(grpc.RpcError) as refused:
+        ask(run, stage.stub.LocateBlob, worker_pb2.LocateBlobRequest(**theirs))
+    assert refused.value.code() == grpc.StatusCode.NOT_FOUND
+    assert ask(
+        run, stage.stub.CompleteUpload, worker_pb2.CompleteUploadRequest(**theirs, size_bytes=6.0)
+    ).missing
+    assert not ask(run, stage.stub.PlanUpload, worker_pb2.PlanUploadRequest(**theirs, size_bytes=6.0)).stored
+
+
+def ask(run: Connection, call: Callable[..., Any], request: Any) -> Any:
+    """Return what the server answers a run of this tenant."""
+    return call(request, metadata=metadata(run.identity.job_id, 1, None), timeout=5)
 
 
 @pytest.mark.parametrize("fields", [{"sha256": "../../x", "size_bytes": 1.0}, {"size_bytes": float("nan")}])
@@ -206,5 +206,5 @@ def test_a_name_that_is_no_hash_is_refused(run: Connection, stage: Stage, fields
         **{"fence": run.identity.fence, "sha256": "0" * 64, "size_bytes": 1.0, **fields}
     )
     with pytest.raises(grpc.RpcError) as refused:
-        stage.stub.PlanUpload(request, metadata=metadata(run.identity.job_id, 1, None), timeout=5)
+        ask(run, stage.stub.PlanUpload, request)
     assert refused.value.code() == grpc.StatusCode.INVALID_ARGUMENT

@@ -3,7 +3,7 @@
 import shutil
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -63,6 +63,20 @@ def reporter(connection: Connection) -> Iterator[ServerReporter]:
         reporter.close()
 
 
+def stored(stage: Stage, data: bytes) -> Path:
+    """Return the file of the store with this content."""
+    files = (path for path in (stage.api.services.settings.data / "store").rglob("*") if path.is_file())
+    (path,) = [path for path in files if path.read_bytes() == data]
+    return path
+
+
+def until(true: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 10
+    while not true():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
 def save(reporter: ServerReporter, connection: Connection, stage: str, step: int, data: bytes) -> None:
     folder = connection.identity.work_dir / stage / f"step_{step:06d}"
     folder.mkdir(parents=True)
@@ -90,12 +104,7 @@ def test_a_checkpoint_that_is_broken_in_the_store_is_left_out(
 ):
     save(reporter, connection, "cache", 10, b"ten")
     save(reporter, connection, "cache", 20, b"twenty")
-    (broken,) = [
-        path
-        for path in (stage.api.services.settings.data / "store").rglob("*")
-        if path.is_file() and path.read_bytes() == b"twenty"
-    ]
-    broken.write_bytes(b"twentx")
+    stored(stage, b"twenty").write_bytes(b"twentx")
     target = connection.identity.work_dir.parent / "run-2"
     restore_checkpoints(connection, RecordingReporter(), stage.call("Start", job), target)
     assert [path.parent.name for path in target.rglob("*.safetensors")] == ["step_000010"]
@@ -120,11 +129,7 @@ def test_a_capture_that_is_damaged_in_the_store_is_no_crash(
     stage: Stage, job: str, connection: Connection, tmp_path: Path, how: str
 ):
     start = stage.call("Start", job)
-    (path,) = [
-        path
-        for path in (stage.api.services.settings.data / "store").rglob("*")
-        if path.is_file() and path.read_bytes() == b"picture"
-    ]
+    path = stored(stage, b"picture")
     path.write_bytes({"flipped": b"pictuse", "cut": b"pic", "gone": b""}[how])
     if how == "gone":
         path.unlink()
@@ -162,19 +167,13 @@ def test_a_cancel_reaches_the_pipeline(stage: Stage, job: str, reporter: ServerR
     stage.api.post(f"/v1/jobs/{job}:cancel")
     assert not reporter.should_stop()
     reporter.log("anything")
-    deadline = time.monotonic() + 10
-    while not reporter.should_stop():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(reporter.should_stop)
 
 
 def test_a_run_that_was_given_up_stops_and_says_so(stage: Stage, reporter: ServerReporter):
     stage.end(-9)
     reporter.log("anything")
-    deadline = time.monotonic() + 10
-    while not reporter.should_stop():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(reporter.should_stop)
     with pytest.raises(FencedError, match="stale"):
         reporter.close()
 

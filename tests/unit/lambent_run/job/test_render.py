@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -150,9 +151,7 @@ def test_what_sums_up_the_parts_makes_the_table_and_sheet_of_one_run(inputs, tmp
             render_pb2.RenderFailure(path=each["subject"], code=each["code"], message=each["message"])
             for each in part.named("finding")
         ]
-    (tmp_path / "last" / "environments").mkdir()
-    for path in (inputs / "environments").iterdir():
-        (tmp_path / "last" / "environments" / path.name).write_bytes(path.read_bytes())
+    shutil.copytree(inputs / "environments", tmp_path / "last" / "environments")
     whole = RecordingReporter()
     last = order_of(tmp_path / "last", tmp_path / "run", whole, order, 2, 2)
     last.start.render.failures.extend(failures)
@@ -240,10 +239,7 @@ def test_a_stopped_run_goes_on_from_its_checkpoints(inputs, tmp_path, monkeypatc
     assert len({fields["stage"] for fields in saved}) == len(saved) == 2
     assert not artifacts(first)
     for fields in saved:
-        for path in (path for path in Path(fields["folder"]).rglob("*") if path.is_file()):
-            target = tmp_path / "two" / path.relative_to(tmp_path / "one")
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(path.read_bytes())
+        shutil.copytree(fields["folder"], tmp_path / "two" / fields["folder"].relative_to(tmp_path / "one"))
     before = len(calls)
     second = RecordingReporter()
     render_job.render_pictures(order_of(inputs, tmp_path / "two", second))

@@ -46,6 +46,16 @@ class FakeConnection:
         pass
 
 
+def started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, **identity: Any) -> None:
+    """Let this process be the one that a server starts for a run, in a folder of its own."""
+    work_dir = tmp_path / "job_x" / "run-1"
+    work_dir.mkdir(parents=True)
+    run = {"job_id": "job_x", "run": 1, "address": f"unix:{tmp_path}/s", "token": "x"}
+    monkeypatch.setenv("LAMBENT_RUN", json.dumps({**run, "work_dir": str(work_dir), **identity}))
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(supervisor, "FIRST_HEARTBEAT_S", 0.05)
+
+
 def supervised(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -54,12 +64,7 @@ def supervised(
     **identity: Any,
 ) -> tuple[int, FakeConnection]:
     """Watch a program with a server that answers so; return the exit code, and the connection."""
-    work_dir = tmp_path / "job_x" / "run-1"
-    work_dir.mkdir(parents=True)
-    run = {"job_id": "job_x", "run": 1, "address": "unix:/s", "token": "x", "work_dir": str(work_dir)}
-    monkeypatch.setenv("LAMBENT_RUN", json.dumps({**run, **identity}))
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
-    monkeypatch.setattr(supervisor, "FIRST_HEARTBEAT_S", 0.05)
+    started(tmp_path, monkeypatch, **identity)
     made: list[FakeConnection] = []
 
     def connect(identity: Identity) -> FakeConnection:
@@ -165,32 +170,25 @@ def test_a_run_without_a_server_ends_with_its_folder_or_its_time(
     sleep_s: float,
     code: int,
 ):
-    monkeypatch.setattr(supervisor, "FIRST_HEARTBEAT_S", 0.1)
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
-    work_dir = tmp_path / "job_x" / "run-1"
-    work_dir.mkdir(parents=True)
-    run = {"job_id": "job_x", "run": 1, "address": f"unix:{tmp_path}/s", "token": "x", "memory_bytes": 0}
-    run |= {"work_dir": str(work_dir), "give_up_after_s": give_up_after_s}
-    monkeypatch.setenv("LAMBENT_RUN", json.dumps(run))
+    started(tmp_path, monkeypatch, give_up_after_s=give_up_after_s)
     if not folder_stays:
         shutil.rmtree(tmp_path / "job_x")
     assert supervisor.supervise([sys.executable, "-S", "-c", f"import time; time.sleep({sleep_s})"]) == code
 
 
-def test_the_run_process_is_told_whose_child_it_is(monkeypatch):
+def test_the_run_process_is_told_whose_child_it_is(tmp_path, monkeypatch):
     """A child that starts after its parent's death has to notice; the signal comes too late for that."""
-    started = []
+    environments = []
 
     def popen(command, **options):
-        started.append(options["env"])
+        environments.append(options["env"])
         raise OSError("only the environment is looked at")
 
-    run = {"job_id": "job_x", "run": 1, "address": "unix:/nowhere", "token": "x", "memory_bytes": 0}
-    monkeypatch.setenv("LAMBENT_RUN", json.dumps(run | {"work_dir": "/nowhere", "give_up_after_s": 1.0}))
+    started(tmp_path, monkeypatch)
     monkeypatch.setattr(supervisor.subprocess, "Popen", popen)
     with pytest.raises(OSError, match="environment"):
         supervisor.supervise([sys.executable])
-    assert started[0]["LAMBENT_PARENT_PID"] == str(os.getpid())
+    assert environments[0]["LAMBENT_PARENT_PID"] == str(os.getpid())
 
 
 def test_neither_part_of_a_run_looks_for_modules_in_the_working_directory(tmp_path, monkeypatch):

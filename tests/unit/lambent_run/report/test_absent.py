@@ -1,14 +1,14 @@
 """A figure that a report lacks is named, with what to do about it."""
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 from lambent_run.report.absent import absent_metrics
-from lambent_run.report.request import EvaluationRequest, Subject
+from lambent_run.report.request import Subject
+from support.evaluation_subject import subject_of
 from support.lit_sphere import lit_domain, lit_sphere
 
 SCENE = replace(lit_sphere(2, side=4), relight_lights=("city", "night"))
@@ -22,17 +22,12 @@ def subject(**changes: Any) -> Subject:
         "model": SimpleNamespace(domain=lit_domain(SCENE)),
         "scene": SCENE,
         "views": VIEWS,
-        "held_out": True,
         "maps": {"city": MAP, "night": MAP},
-        "request": EvaluationRequest(),
-        "seed": 0,
-        "out": Path(),
-        "advance": lambda: None,
         "lpips": cast(Any, object()),
         "uncertainty": cast(Any, object()),
         "true_lights": {"sky": MAP},
     }
-    return Subject(**{**given, **changes})
+    return subject_of(**{**given, **changes})
 
 
 def reasons(given: Subject, *found: str) -> dict[str, str]:

@@ -1,13 +1,12 @@
 """A user hears of the factor between albedo and light where nothing settles it, with the light's colour."""
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import torch
 from lambent_run.report.common_factor import ROWS, common_factor_note, light_colour
-from lambent_run.report.request import EvaluationRequest, Subject
+from support.evaluation_subject import subject_of
 from support.lit_sphere import lit_domain, lit_sphere
 
 
@@ -27,20 +26,7 @@ def lit(lights=("sky",), **domain) -> SimpleNamespace:
 
 def note(lights=("sky",), *, grey_card=False, **domain) -> str | None:
     scene = replace(lit_sphere(2, side=4), lights=lights)
-    return common_factor_note(
-        Subject(
-            model=lit(lights, **domain),  # type: ignore[arg-type]
-            scene=scene,
-            views=scene.test,
-            held_out=True,
-            maps={},
-            request=EvaluationRequest(),
-            seed=0,
-            out=Path(),
-            advance=lambda: None,
-            grey_card=grey_card,
-        )
-    )
+    return common_factor_note(subject_of(lit(lights, **domain), scene, grey_card=grey_card))
 
 
 def test_the_colour_of_a_light_is_its_mean_over_solid_angle():

@@ -9,9 +9,9 @@ import pytest
 import torch
 from flashcache.geometry.directions import environment_directions
 from lambent_run.report.environment_scores import COLUMNS, ROWS, compare_environments, score_environments
-from lambent_run.report.request import EvaluationRequest, Subject
 from lambent_run.report.table import Table
 from scipy.ndimage import gaussian_filter1d
+from support.evaluation_subject import subject_of
 from support.lit_sphere import lit_domain, lit_sphere
 
 
@@ -103,20 +103,8 @@ class Lights:
 
 def scored(tmp_path: Path, images, lights, true_lights, **domain) -> dict[str, float]:
     scene = replace(lit_sphere(2, side=4), lights=lights)
-    subject = Subject(
-        model=Lights(images, lights, **domain),  # type: ignore[arg-type]
-        scene=scene,
-        views=scene.test,
-        held_out=True,
-        maps={},
-        request=EvaluationRequest(),
-        seed=0,
-        out=tmp_path,
-        advance=lambda: None,
-        true_lights=true_lights,
-    )
-    table = Table()
-    score_environments(table, subject)
+    model, table = Lights(images, lights, **domain), Table()
+    score_environments(table, subject_of(model, scene, out=tmp_path, true_lights=true_lights))
     return {row.name: row.value for row in table.as_metrics()}
 
 

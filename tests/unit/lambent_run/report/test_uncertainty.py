@@ -21,12 +21,11 @@ from lambent_run.report.uncertainty import (
     uncertainty_map,
     with_confidence,
 )
-from lambent_run.run.context import TaskContext
 from lambent_run.run.folder import finish_task, task_folder
-from lambent_run.run.spec import RunSpec
 from lambent_run.run.uncertainty import keep_uncertainty, kept_uncertainty, polished_confidence
 from support.lit_sphere import camera, lit_sphere
 from support.sphere_model import RADIUS, sphere_model
+from support.task_context import task_context
 
 # All cameras stand above the object.
 ABOVE = replace(
@@ -37,6 +36,13 @@ ABOVE = replace(
     ),
 )
 RULE = RenderRule()
+
+
+def measured(model, normal: torch.Tensor, level: float, rule: RenderRule = RULE) -> np.ndarray:
+    """Return what photographs with this noise leave open where the ball has these normals."""
+    points = SurfacePoints(RADIUS * normal, normal)
+    noise = Noise(absolute=level)
+    return measure_points(model, points, ABOVE, noise=noise, rule=rule, priors=Priors(), seed=0).values
 
 
 @pytest.fixture(scope="module")
@@ -72,17 +78,8 @@ def test_the_same_seed_measures_the_same(model, grid):
 
 def test_what_no_photograph_shows_is_as_uncertain_as_before(model):
     normal = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
-    points = SurfacePoints(RADIUS * normal, normal)
     priors = Priors()
-    found = measure_points(
-        model,
-        points,
-        ABOVE,
-        noise=Noise(absolute=0.01),
-        rule=RenderRule(shadows="nerf"),
-        priors=priors,
-        seed=0,
-    ).values
+    found = measured(model, normal, 0.01, RenderRule(shadows="nerf"))
     top, bottom = (dict(zip(CHANNELS, row, strict=True)) for row in found)
     assert top["views"] > 1.0
     assert bottom["views"] == 0.0
@@ -94,14 +91,7 @@ def test_what_no_photograph_shows_is_as_uncertain_as_before(model):
 def test_noisier_photographs_leave_more_open(model):
     normal = torch.randn(8, 3, generator=torch.Generator().manual_seed(1))
     normal = torch.nn.functional.normalize(normal.abs(), dim=-1)
-    points = SurfacePoints(RADIUS * normal, normal)
-    quiet, loud = (
-        measure_points(
-            model, points, ABOVE, noise=Noise(absolute=level), rule=RULE, priors=Priors(), seed=0
-        ).values[:, 0]
-        for level in (0.01, 0.1)
-    )
-    assert (loud > quiet).all()
+    assert (measured(model, normal, 0.1)[:, 0] > measured(model, normal, 0.01)[:, 0]).all()
 
 
 def test_a_model_without_a_fast_cache_is_asked_through_the_nerf_cache(model, monkeypatch):
@@ -214,13 +204,7 @@ def test_the_map_of_a_polished_model_has_the_same_channels_and_what_it_says(mode
 
 
 def test_confidence_is_used_where_a_finished_polish_has_left_it(tmp_path):
-    on = TaskContext(
-        spec=RunSpec(scene=tmp_path, config=replace(tiny(), polish="on")),
-        run_dir=tmp_path / "run",
-        device="cpu",
-        reporter=None,
-        task="evaluate",
-    )
+    on = task_context(tmp_path, replace(tiny(), polish="on"), "evaluate")
     folder = task_folder(on.run_dir, "polish")
     folder.mkdir(parents=True)
     (on.run_dir / "tasks").mkdir()

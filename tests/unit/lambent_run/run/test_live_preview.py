@@ -11,7 +11,6 @@ from flashcache.presets import tiny
 from flashcache.training.stage_one import StageOne
 from lambent_core.scene import View
 from lambent_relight.cameras import look_at
-from lambent_run.run.context import TaskContext
 from lambent_run.run.live_preview import (
     INTERVAL_S,
     LONGEST_S,
@@ -22,11 +21,11 @@ from lambent_run.run.live_preview import (
     photographed_arc,
     seen_middle,
 )
-from lambent_run.run.spec import RunSpec
 from lambent_run.run.tasks.training import drive, new_model, previews_for
 from PIL import Image
 from support.lit_sphere import lit_sphere
 from support.recording_reporter import RecordingReporter
+from support.task_context import task_context
 
 SCENE = lit_sphere(num_views=3)
 
@@ -135,14 +134,7 @@ def test_the_camera_swings_where_a_side_was_not_photographed():
 
 def trained(tmp_path, *, shown: bool) -> tuple[StageOne, RecordingReporter]:
     one = replace(tiny().stage_one, num_steps=4, num_rays=32, warmup_steps=0)
-    context = TaskContext(
-        spec=RunSpec(scene=tmp_path, config=replace(tiny(), stage_one=one)),
-        run_dir=tmp_path / f"run_{shown}",
-        device="cpu",
-        reporter=RecordingReporter(),
-        task="cache",
-    )
-    context.folder.mkdir(parents=True)
+    context = task_context(tmp_path / f"{shown}", replace(tiny(), stage_one=one), "cache")
     pixels = TrainingPixels(SCENE, context.spec.config.pixels, torch.device("cpu"))
     stage = StageOne(new_model(context, SCENE), pixels, one, seed=0)
     preview = previews_for(context, SCENE)

@@ -44,6 +44,7 @@ def test_an_empty_text_is_a_parameter_that_was_left_out():
     [
         ("light_fixed_to", "flash", r"light\.fixed_to_unknown"),
         ("corrections", "{", r"config\.corrections_invalid"),
+        ("corrections", "[]", r"config\.corrections_invalid"),
         ("grey_card", "a.png", r"grey_card\.syntax"),
     ],
 )

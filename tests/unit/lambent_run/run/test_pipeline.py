@@ -27,7 +27,7 @@ def scene(tmp_path):
 
 
 class Tasks:
-    """Stands in for the tasks: remembers the order, leaves a file, may fail."""
+    """Takes the place of the tasks: remembers the order, leaves a file, may fail."""
 
     def __init__(self):
         self.ran = []
@@ -99,28 +99,29 @@ def test_a_failed_task_is_repeated_with_its_files_and_the_ones_before_are_kept(t
     assert tasks.ran[4] == ("joint", ["result"])
 
 
-def test_a_changed_setting_repeats_the_tasks_that_read_it_and_those_after_from_scratch(
-    tmp_path, scene, tasks
+def smoother(config):
+    return dataclasses.replace(config, stage_two=dataclasses.replace(config.stage_two, smoothness_weight=0.5))
+
+
+def seen_once(config):
+    return dataclasses.replace(config, evaluation=dataclasses.replace(config.evaluation, num_views=1))
+
+
+@pytest.mark.parametrize(
+    ("changes", "repeated"),
+    [
+        ({"config": smoother(CONFIG)}, POSED[3:]),
+        ({"config": seen_once(CONFIG)}, ("evaluate",)),
+        ({"seed": 1}, POSED[2:]),
+    ],
+    ids=["stage two", "evaluation", "seed"],
+)
+def test_a_change_repeats_the_tasks_that_read_it_and_those_after_from_scratch(
+    tmp_path, scene, tasks, changes, repeated
 ):
     run(tmp_path, scene)
-    changed = dataclasses.replace(
-        CONFIG, stage_two=dataclasses.replace(CONFIG.stage_two, smoothness_weight=0.5)
-    )
-    run(tmp_path, scene, config=changed)
-    assert tasks.ran[len(POSED) :] == [("joint", []), ("polish", []), ("evaluate", []), ("export", [])]
-
-
-def test_an_evaluation_setting_does_not_repeat_the_export(tmp_path, scene, tasks):
-    run(tmp_path, scene)
-    changed = dataclasses.replace(CONFIG, evaluation=dataclasses.replace(CONFIG.evaluation, num_views=1))
-    run(tmp_path, scene, config=changed)
-    assert tasks.names()[len(POSED) :] == ["evaluate"]
-
-
-def test_another_seed_reads_the_same_scene_but_trains_anew(tmp_path, scene, tasks):
-    run(tmp_path, scene)
-    run(tmp_path, scene, seed=1)
-    assert tasks.names()[len(POSED) :] == ["cache", "joint", "polish", "evaluate", "export"]
+    run(tmp_path, scene, **changes)
+    assert tasks.ran[len(POSED) :] == [(name, []) for name in repeated]
 
 
 def test_a_changed_photograph_repeats_everything(tmp_path, scene, tasks):
@@ -212,23 +213,18 @@ def test_the_speed_so_far_is_that_of_training(tmp_path, scene, tasks):
     assert sum(shares) == pytest.approx(1.0)
 
 
-def test_each_tasks_hash_contains_the_one_before(scene):
-    one = input_hashes(spec_of(scene))
-    other = input_hashes(spec_of(scene, lights=("capture",)))
-    assert not set(one.values()) & set(other.values())
-    assert len(set(one.values())) == len(POSED)
-
-
-def test_a_given_environment_changes_every_task(scene):
-    learned = input_hashes(spec_of(scene))
-    given, other = (input_hashes(spec_of(scene, known_lights={"": name})) for name in ("a.hdr", "b.hdr"))
-    assert not set(given.values()) & (set(other.values()) | set(learned.values()))
-
-
-def test_given_masks_change_every_task(scene):
-    own = input_hashes(spec_of(scene))
-    given, other = (input_hashes(spec_of(scene, masks=masks)) for masks in ("one", "other"))
-    assert all(len({own[task], given[task], other[task]}) == 3 for task in POSED)
+@pytest.mark.parametrize(
+    ("name", "one", "other"),
+    [
+        ("lights", ("capture",), ("lamp",)),
+        ("known_lights", {"": "a.hdr"}, {"": "b.hdr"}),
+        ("masks", "a", "b"),
+    ],
+)
+def test_what_the_first_task_reads_changes_every_task(scene, name, one, other):
+    hashes = [input_hashes(spec_of(scene, **changes)) for changes in ({}, {name: one}, {name: other})]
+    # Each task's hash contains the one before.
+    assert len({each for made in hashes for each in made.values()}) == 3 * len(POSED)
 
 
 STROKE = Correction(frame="train_r_0", is_object=False, points=((1.0, 2.0),), radius=3.0)

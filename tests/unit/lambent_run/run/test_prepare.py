@@ -62,15 +62,19 @@ def test_ranks_need_a_gpu_each_from_the_first_one_on(tmp_path, monkeypatch):
 
 def finished_run(tmp_path):
     """Return a run folder whose tasks pretend to be done."""
-    spec = kept_run(tmp_path)
-    folder = tmp_path / "run"
+    config, folder = kept_run(tmp_path).config, tmp_path / "run"
     begin_task(folder, "polish", "trained")
     finish_task(folder, "polish", "trained")
-    inputs = task_inputs("export", "trained", spec.config, spec.seed)
-    begin_task(folder, "export", inputs)
-    write_json(task_folder(folder, "export") / "manifest.json", {})
-    finish_task(folder, "export", inputs)
+    exported(folder, config, {})
     return folder
+
+
+def exported(folder, config, manifest):
+    """Let the bundle of these settings, with this manifest, be made already."""
+    inputs = task_inputs("export", "trained", config, 0)
+    begin_task(folder, "export", inputs)
+    write_json(task_folder(folder, "export") / "manifest.json", manifest)
+    finish_task(folder, "export", inputs)
 
 
 def test_a_bundle_that_is_there_is_copied_without_our_marks(tmp_path):
@@ -81,10 +85,7 @@ def test_a_bundle_that_is_there_is_copied_without_our_marks(tmp_path):
 def test_what_is_to_be_said_of_a_bundle_is_said_when_it_is_copied_too(tmp_path):
     folder = finished_run(tmp_path)
     config = with_overrides(kept_run(tmp_path).config, {"export.atlas_size": "2048"})
-    inputs = task_inputs("export", "trained", config, 0)
-    begin_task(folder, "export", inputs)
-    write_json(task_folder(folder, "export") / "manifest.json", {"atlas": {"size": 512}})
-    finish_task(folder, "export", inputs)
+    exported(folder, config, {"atlas": {"size": 512}})
     reporter = RecordingReporter()
     export_run(folder, tmp_path / "out", reporter, atlas="2048")
     assert [fields["code"] for fields in reporter.named("finding")] == ["export.atlas_unused"]
@@ -95,9 +96,15 @@ def test_a_texture_coarser_than_transport_is_refused_and_does_not_make_that_coar
         export_run(finished_run(tmp_path), tmp_path / "out", RecordingReporter(), atlas="256")
 
 
-def test_tier_and_weights_of_an_export_replace_the_runs_settings(tmp_path, monkeypatch):
-    asked = []
-    monkeypatch.setattr(prepare, "run_task", lambda context, inputs: asked.append(context.spec.config.export))
+@pytest.fixture
+def asked(monkeypatch):
+    """Return the settings of the exports that are made, which do nothing."""
+    settings = []
+    monkeypatch.setattr(prepare, "run_task", lambda context, inputs: settings.append(context.config.export))
+    return settings
+
+
+def test_tier_and_weights_of_an_export_replace_the_runs_settings(tmp_path, asked):
     folder, reporter = finished_run(tmp_path), RecordingReporter()
     export_run(folder, tmp_path / "lite", reporter, tier="lite")
     export_run(folder, tmp_path / "exact", reporter, weights="fp32")
@@ -112,9 +119,7 @@ def test_tier_and_weights_of_an_export_replace_the_runs_settings(tmp_path, monke
     assert not (tmp_path / "huge").exists()
 
 
-def test_the_number_of_triangles_of_an_export_is_given_or_found(tmp_path, monkeypatch):
-    asked = []
-    monkeypatch.setattr(prepare, "run_task", lambda context, inputs: asked.append(context.spec.config.export))
+def test_the_number_of_triangles_of_an_export_is_given_or_found(tmp_path, asked):
     folder, reporter = finished_run(tmp_path), RecordingReporter()
     for name, faces in (("few", "900"), ("needed", "auto")):
         export_run(folder, tmp_path / name, reporter, faces=faces)

@@ -179,12 +179,6 @@ def test_corrections_are_the_same_from_an_order_the_command_line_and_the_folder(
     assert not with_kept_corrections(options(tmp_path, whole_view=True), tmp_path / "run").corrections
 
 
-@pytest.mark.parametrize("text", ["{", "[]"])
-def test_corrections_of_an_order_that_cannot_be_used_are_refused(tmp_path, text):
-    with pytest.raises(UsageError, match=r"config\.corrections_invalid"):
-        ordered(tmp_path, corrections=text)
-
-
 def test_corrections_of_masks_that_were_given_are_refused(tmp_path, cut):
     for others in ({"masks": cut}, {"whole_view": True}):
         with pytest.raises(UsageError, match=r"config\.corrections_unused"):
@@ -352,9 +346,7 @@ def test_a_grey_card_may_come_after_the_training_and_only_the_polish_is_done_aga
         (CARD, {}, "polish_off.*polish=on"),
         ("b.png:3,4,10,8", POLISHED, "photograph_missing"),
         ("a.png:3,4,100,8", POLISHED, "box_outside.*40 x 30"),
-        ("a.png:3,4,0,8", POLISHED, "box_empty"),
         ("a.png", POLISHED, "syntax"),
-        ("a.png:3,4,10,8:2", POLISHED, "reflectance"),
     ],
     ids=lambda value: value.split(".*")[0] if isinstance(value, str) else "",
 )

@@ -9,12 +9,10 @@ from lambent_core.scene import Scene
 from lambent_proto.v1 import scene_pb2
 from lambent_run.report.common_factor import CODE
 from lambent_run.run.card_option import GreyCard
-from lambent_run.run.context import TaskContext
-from lambent_run.run.spec import RunSpec
 from lambent_run.run.tasks import evaluate
 from lambent_run.run.tasks.training import new_model
 from support.lit_sphere import lit_sphere
-from support.recording_reporter import RecordingReporter
+from support.task_context import task_context
 
 SCENE = lit_sphere(3, side=8)
 TRUTH = {"albedo": np.zeros((8, 8, 4), np.float32)}
@@ -22,13 +20,7 @@ TRUTH = {"albedo": np.zeros((8, 8, 4), np.float32)}
 
 def told(tmp_path, monkeypatch, scene: Scene, **changes) -> list[tuple[str, str]]:
     """Return code and message of the findings of an evaluation in which nothing is rendered."""
-    context = TaskContext(
-        spec=RunSpec(scene=tmp_path / "scene", config=replace(tiny(), polish="on"), **changes),
-        run_dir=tmp_path / "run",
-        device="cpu",
-        reporter=RecordingReporter(),
-        task="evaluate",
-    )
+    context = task_context(tmp_path, replace(tiny(), polish="on"), "evaluate", **changes)
     model = new_model(context, SCENE)
     monkeypatch.setattr(evaluate, "read_scene", lambda context: scene)
     monkeypatch.setattr(evaluate, "load_final", lambda context, scene: model)

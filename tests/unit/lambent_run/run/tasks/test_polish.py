@@ -18,7 +18,7 @@ from lambent_run.run.spec import RunSpec
 from lambent_run.run.tasks import polish
 from lambent_run.run.tasks.training import load_final, load_trained, new_model, previews_for
 from support.lit_sphere import lit_sphere
-from support.recording_reporter import RecordingReporter
+from support.task_context import task_context
 
 SCENE = lit_sphere(num_views=3)
 ON = replace(tiny(), polish="on")
@@ -27,14 +27,7 @@ ON = replace(tiny(), polish="on")
 def trained(tmp_path, monkeypatch, stop_after: int | None = None) -> TaskContext:
     """Return the context of the task in a run whose stage two is done."""
     monkeypatch.setattr(polish, "read_scene", lambda context: SCENE)
-    made = TaskContext(
-        spec=RunSpec(scene=tmp_path / "scene", config=ON),
-        run_dir=tmp_path / "run",
-        device="cpu",
-        reporter=RecordingReporter(stop_after),
-        task="polish",
-    )
-    made.folder.mkdir(parents=True)
+    made = task_context(tmp_path, ON, "polish", stop_after)
     model = new_model(made, SCENE)
     state = CheckpointState(stage="joint", step=7, seed=0, config_sha256="")
     save_checkpoint(checkpoint_folder(task_folder(made.run_dir, "joint"), 7), model, None, state)

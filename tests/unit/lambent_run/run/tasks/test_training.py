@@ -14,25 +14,16 @@ from flashcache.presets import tiny
 from flashcache.training.stage_two import StageTwo
 from lambent_core.errors import Stopped
 from lambent_run.run.context import TaskContext
-from lambent_run.run.spec import RunSpec
 from lambent_run.run.tasks import stages
 from lambent_run.run.tasks.training import domain_for, drive, load_trained, new_model, training_pixels
 from support.lit_sphere import lit_sphere
-from support.recording_reporter import RecordingReporter
+from support.task_context import task_context
 
 SCENE = lit_sphere(num_views=3)
 
 
 def context_of(tmp_path, config: Config, stop_after: int | None = None) -> TaskContext:
-    made = TaskContext(
-        spec=RunSpec(scene=tmp_path / "scene", config=config),
-        run_dir=tmp_path / "run",
-        device="cpu",
-        reporter=RecordingReporter(stop_after),
-        task="joint",
-    )
-    made.folder.mkdir(parents=True, exist_ok=True)
-    return made
+    return task_context(tmp_path, config, "joint", stop_after)
 
 
 def joint(context: TaskContext, fixed: bool | None = None) -> StageTwo:
