@@ -134,7 +134,7 @@ def require_sandbox(settings: Settings) -> Layers:
         missing = ", ".join(f"{name} ({reason})" for name, reason in layers.missing.items())
         raise ServeError(
             f"serve.sandbox_missing: this system lacks {missing}, and LAMBENT_SANDBOX is required; set it to "
-            "available to decode uploads with what there is"
+            "available to decode uploads with the layers that exist"
         )
     return layers
 

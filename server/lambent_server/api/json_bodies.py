@@ -46,7 +46,9 @@ def _check_headers(request: Request) -> None:
         raise unsupported(detail, "Content-Type")
     coding = request.headers.get("content-encoding", "identity").strip().lower()
     if coding not in ("identity", ""):
-        raise unsupported(f"bodies are not unpacked, and this one is {coding[:40]!r}", "Content-Encoding")
+        raise unsupported(
+            f"the body is encoded as {coding[:40]!r}, and encoded bodies are not accepted", "Content-Encoding"
+        )
 
 
 def require_strict(routers: Iterable[APIRouter]) -> None:

@@ -1,6 +1,7 @@
 """The server's view of a Ray cluster, through a process that is started again when lost."""
 
 import contextlib
+import itertools
 import json
 import os
 import subprocess
@@ -8,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -26,6 +28,7 @@ PROBE_TIMEOUT_S = 5.0
 LOG_BYTES = 1024 * 1024
 """A log of that size, of what Ray says, is put aside in place of the one before it."""
 _LONGEST_WAIT_S = 10.0
+_ENDED = "the process that speaks with Ray has ended"
 _Access = Literal["open", "closed", "away"]
 
 
@@ -102,7 +105,6 @@ class RayProcess:
 
     def __init__(self, settings: Settings, namespace: str) -> None:
         self._lock = threading.Lock()
-        self._number = 0
         assert settings.ray_address is not None
         command = [
             sys.executable,
@@ -121,47 +123,40 @@ class RayProcess:
                 env=link_environment(settings, os.environ),
                 start_new_session=True,
             )
-        self._answers: dict[int, dict[str, Any] | None] = {}
-        """Of the calls that still wait: None until it is there."""
-        self._ended = False
-        self._arrived = threading.Condition()
+        self._numbers = itertools.count(1)
+        self._waiting: dict[int, Future[dict[str, Any]]] = {}
+        """The calls that wait for an answer."""
         threading.Thread(target=self._read, args=(self._process.stdout,), daemon=True).start()
 
     def _read(self, answers: IO[bytes]) -> None:
         with answers:
             for line in answers:
                 answer = json.loads(line)
-                with self._arrived:
-                    if answer["id"] in self._answers:
-                        self._answers[answer["id"]] = answer
-                        self._arrived.notify_all()
-        with self._arrived:
-            self._ended = True
-            self._arrived.notify_all()
+                if (call := self._waiting.pop(answer["id"], None)) is not None:
+                    call.set_result(answer)
+        # Whoever could still write its request did so before the process ended, and so is among these.
+        for number in list(self._waiting):
+            if (call := self._waiting.pop(number, None)) is not None:
+                call.set_exception(ExecutorAwayError(f"{_ENDED}; see ray-link.log"))
 
     def call(self, op: str, timeout_s: float = CALL_TIMEOUT_S, **given: Any) -> Any:
         """Return the answer of the process; raises ExecutorAwayError if there is none, or an error."""
-        with self._lock:
-            self._number += 1
-            number = self._number
-            with self._arrived:
-                self._answers[number] = None
-            request = json.dumps({"id": number, "op": op, "given": given}) + "\n"
-            try:
+        call: Future[dict[str, Any]] = Future()
+        number = next(self._numbers)
+        self._waiting[number] = call
+        request = json.dumps({"id": number, "op": op, "given": given}) + "\n"
+        try:
+            with self._lock:
                 assert self._process.stdin is not None
                 self._process.stdin.write(request.encode())
                 self._process.stdin.flush()
-            except OSError as error:
-                with self._arrived:
-                    del self._answers[number]
-                raise ExecutorAwayError("the process that speaks with Ray has ended") from error
-        with self._arrived:
-            self._arrived.wait_for(lambda: self._answers[number] is not None or self._ended, timeout_s)
-            answer = self._answers.pop(number)
-        if answer is None and self._ended:
-            raise ExecutorAwayError("the process that speaks with Ray has ended; see ray-link.log")
-        if answer is None:
-            raise ExecutorAwayError(f"no answer from Ray within {timeout_s:g} s")
+            answer = call.result(timeout_s)
+        except TimeoutError as error:
+            raise ExecutorAwayError(f"no answer from Ray within {timeout_s:g} s") from error
+        except OSError as error:
+            raise ExecutorAwayError(_ENDED) from error
+        finally:
+            self._waiting.pop(number, None)
         if "error" in answer:
             raise ExecutorAwayError(answer["error"])
         return answer["result"]

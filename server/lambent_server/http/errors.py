@@ -12,7 +12,7 @@ from starlette.routing import Match
 
 from lambent_server.api.problems import MEDIA_TYPE, Detail, Problem
 from lambent_server.http.middleware import INTERNAL
-from lambent_server.storage.outages import away
+from lambent_server.storage.outages import outage_of
 
 log = structlog.get_logger()
 _CODES = {
@@ -83,4 +83,4 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(Exception)
     async def anything(request: Request, error: Exception) -> Response:
-        return respond(request, away(error) or INTERNAL)
+        return respond(request, outage_of(error) or INTERNAL)

@@ -40,8 +40,8 @@ def login_secret(settings: Settings) -> bytes | None:
         if settings.login_header is None or not local:
             return None
         raise ServeError(
-            f"serve.login_secret_missing: LAMBENT_LOGIN_HEADER counts from {local[0]}, and every process "
-            "of this machine can have that address; write a secret (`openssl rand -hex 32`) into a file that "
+            f"serve.login_secret_missing: LAMBENT_LOGIN_HEADER is accepted from {local[0]}, an address that "
+            "every process of this machine can use; write a secret (`openssl rand -hex 32`) into a file that "
             "only the server and the proxy can read, name it in LAMBENT_LOGIN_SECRET_FILE, and let the proxy "
             "send it in X-Lambent-Login-Secret"
         )

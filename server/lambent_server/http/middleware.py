@@ -30,7 +30,7 @@ from lambent_server.http.rechecks import Identify, Rechecks
 from lambent_server.http.request import PUBLIC, SAFE, App, Exchange, Message, Receive, Scope, Send
 from lambent_server.http.request_turns import TURN, Turn
 from lambent_server.services import Services
-from lambent_server.storage.outages import away
+from lambent_server.storage.outages import outage_of
 
 log = structlog.get_logger()
 
@@ -75,7 +75,7 @@ class Gate:
                 # Returning without the end of the response closes the connection.
                 log.info("client_stalled", request=request.id, path=scope["path"][:200])
                 return
-            outage = away(error)
+            outage = outage_of(error)
             if outage is None:
                 log.exception("request_failed", request=request.id, path=scope["path"])
             else:
@@ -105,7 +105,7 @@ class Gate:
             with self._services.database.write() as connection:
                 audit.record(connection, who, action, scope["path"], outcome=code)
         except (SQLAlchemyError, Problem) as error:
-            if away(error) is None:
+            if outage_of(error) is None:
                 log.exception("refusal_not_recorded", request=who.request_id, code=code)
             else:
                 log.warning("refusal_not_recorded", request=who.request_id, code=code)

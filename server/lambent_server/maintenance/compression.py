@@ -61,7 +61,7 @@ class Compressor:
     def _loop(self) -> None:
         while not self._stopping.is_set():
             try:
-                # Of several servers on a database one, so that nothing is compressed twice.
+                # Only one of several servers on a database, so that nothing is compressed twice.
                 if self._leads():
                     self.turn()
             except Stopped:
@@ -123,7 +123,7 @@ class Compressor:
 
 def _due(services: Services) -> dict[str, int]:
     """Return the sizes of some files of which nothing is known yet, by hash."""
-    # Neither sorted nor grouped: either would read all of them, which may be a million after an upgrade.
+    # Neither sorted nor grouped: either would read all of them, which may be a million.
     statement = (
         across_tenants(bundle_files, bundle_files.c.sha256, bundle_files.c.size_bytes)
         .where(bundle_files.c.gzip_bytes.is_(None))

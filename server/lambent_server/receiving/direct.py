@@ -193,6 +193,6 @@ def _upload_missing(blob: Blob) -> Problem:
     return Problem(
         409,
         "upload_missing",
-        f"{blob.sha256} was not sent completely; ask for addresses again and send what they are for",
+        f"{blob.sha256} was not sent completely; request addresses again and send what is missing",
         retryable=True,
     )

@@ -40,16 +40,16 @@ class Member:
 
 
 class Room(Protocol):
-    """Where there is room for what is unpacked; each method raises the problem if there is none."""
+    """The room for what is unpacked; each method raises the problem if there is none."""
 
     def entry(self, size: int) -> None:
-        """Look before an entry of so many bytes is read."""
+        """Check that an entry of this size may be read."""
 
     def writing(self, size: int) -> AbstractContextManager[None]:
         """Return the context in which so many bytes are written."""
 
     def kept(self, sha256: str, size: int) -> None:
-        """Look after a file was written."""
+        """Check a file that was written."""
 
 
 def unpack(archive: Path, folder: Path, settings: Settings, room: Room) -> tuple[list[Member], list[str]]:

@@ -77,7 +77,7 @@ class Decoder:
         self._process.wait()
 
     def message(self) -> dict[str, Any]:
-        """Return the next message; raises the problem that it tells of, or that ended the process."""
+        """Return the next message; raises the problem that it reports, or that ended the process."""
         length = int.from_bytes(self.exactly(4), "big")
         if length > MAX_MESSAGE_BYTES:
             raise self.stopped(UNKNOWN_MESSAGE)
@@ -113,7 +113,7 @@ class Decoder:
             raise self.stopped("it stopped answering") from error
 
     def _how_it_ended(self) -> Problem:
-        """Return what to tell of a process that closed its end of the line before it was done."""
+        """Return the problem of a process that ended before it was done."""
         try:
             code = self.ended()
         except Problem as problem:
@@ -121,13 +121,13 @@ class Decoder:
         if code == EXIT_REFUSED:
             return _unavailable("this system lacks what LAMBENT_SANDBOX=required asks for")
         if code == -signal.SIGSYS:
-            return self.stopped("it tried what no file needs: the network, another program or another file")
+            return self.stopped("it tried to use the network, another program or another file")
         if self.timed_out or code in _OUT_OF_RESOURCES:
             return invalid(self._refusal, "#", "reading it takes too much time or memory")
         return self.stopped(f"it ended with {_name(code)}")
 
     def stopped(self, reason: str) -> Problem:
-        """Return the problem of a process that did something else than reading."""
+        """Return the problem of a process that did something other than reading."""
         log.warning("decoder_stopped", reason=reason)
         return invalid("decoder_stopped", "#", f"the process that read this file was stopped: {reason}")
 

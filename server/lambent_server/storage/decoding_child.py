@@ -46,7 +46,7 @@ def load() -> None:
 
 
 def do(order: dict[str, Any], layers: Layers, source: IO[bytes], out: IO[bytes]) -> None:
-    """Read the file as the order says, and send what there is to say of it."""
+    """Read the file as the order says, and send the result."""
     try:
         if order["task"] == "archive":
             send_entries(source, out, order["budget"], order["max_files"])

@@ -17,7 +17,7 @@ _DATABASE = (OperationalError, InterfaceError, PendingRollbackError, PoolTimeout
 _DISK = frozenset({errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENOSPC, errno.EDQUOT})
 
 
-def away(error: Exception) -> Problem | None:
+def outage_of(error: Exception) -> Problem | None:
     """Return the response to an error that another attempt may not meet; None for others."""
     if isinstance(error, DBAPIError) and is_read_only(error):
         return _later("database_read_only", "the database accepts no changes; it is read-only")
@@ -33,7 +33,7 @@ def away(error: Exception) -> Problem | None:
 
 def report(event: str, error: Exception) -> None:
     """Log what failed: in one line if the database or the store is unavailable, else with a traceback."""
-    problem = away(error)
+    problem = outage_of(error)
     if problem is None:
         log.error(event, exc_info=error)
     else:

@@ -89,7 +89,7 @@ def _parents(path: str) -> Iterator[str]:
 
 
 def in_archive(name: str) -> str:
-    """Return the path that the name of an archive's entry means: "./" and a doubled separator say nothing.
+    """Return the path that the name of an archive's entry means: "./" and doubled separators are ignored.
 
     `tar -C scene .` writes the former. What leads out of the folder stays as it is, for `path_problem`.
     """

@@ -45,10 +45,10 @@ class Admission(Protocol):
     """Decides whether a tenant may store a blob; raises the problem if not, and then nothing stays."""
 
     def expected(self, connection: Connection, sha256: str, size_bytes: float) -> None:
-        """Look before bytes that are new to the tenant are written."""
+        """Check before bytes that are new to the tenant are written."""
 
     def added(self, connection: Connection, sha256: str) -> None:
-        """Look in the transaction that has added the blob."""
+        """Check in the transaction that has added the blob."""
 
 
 PROBES = "uploads/probe"

@@ -28,7 +28,7 @@ from lambent_server.jobs.outcomes import requeue, succeed
 from lambent_server.jobs.rows import CANCELLING, ENDED, HAS_RUN, SUCCEEDED, owner, set_fields
 from lambent_server.services import Services
 from lambent_server.storage.content_checks import CHUNK_BYTES
-from lambent_server.storage.outages import away
+from lambent_server.storage.outages import outage_of
 from lambent_server.storage.store import Blob, find_blob
 from lambent_server.workers import report_limits
 from lambent_server.workers import reports as run_reports
@@ -62,7 +62,7 @@ def _abort(context: grpc.ServicerContext, error: Exception) -> NoReturn:
         code = grpc.StatusCode.UNAVAILABLE if error.retryable else grpc.StatusCode.INVALID_ARGUMENT
         context.abort(code, f"{error.code}: {error.detail}")
     # The run keeps retrying: an unavailable database or a full disk is not its fault.
-    problem = away(error)
+    problem = outage_of(error)
     if problem is None:
         log.error("worker_request_failed", exc_info=error)
     else:

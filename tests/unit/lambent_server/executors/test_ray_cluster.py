@@ -51,7 +51,7 @@ def test_answers_reach_those_who_asked_and_errors_say_what_ray_said(link: RayPro
         link.call("never", 0.1)
     # What comes too late is for nobody.
     assert link.call("look", name="x") == {"name": "x"}
-    assert link._answers == {}
+    assert link._waiting == {}
 
 
 def test_the_end_of_the_process_is_noticed_at_once(link: RayProcess):
@@ -61,7 +61,7 @@ def test_the_end_of_the_process_is_noticed_at_once(link: RayProcess):
     assert time.monotonic() - began < 30.0
     with pytest.raises(ExecutorAwayError, match="has ended"):
         link.call("look", 60.0)
-    assert link._answers == {}
+    assert link._waiting == {}
 
 
 def test_the_log_of_the_process_is_continued_and_put_aside_when_it_is_long(settings: Settings):

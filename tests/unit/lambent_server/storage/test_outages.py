@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from lambent_server.database.engine import Database
 from lambent_server.storage import outages
-from lambent_server.storage.outages import away
+from lambent_server.storage.outages import outage_of
 from lambent_server.storage.s3 import StoreUnavailableError
 from obstore.exceptions import GenericError
 from sqlalchemy import text
@@ -47,7 +47,7 @@ def refused(database: Database) -> Exception:
     "refusal", [refused_by_sqlite, pytest.param(refused_by_postgresql, marks=pytest.mark.services)]
 )
 def test_a_database_that_is_read_only_is_an_outage(refusal, tmp_path: Path):
-    problem = away(refusal(tmp_path))
+    problem = outage_of(refusal(tmp_path))
     assert problem is not None
     assert (problem.status, problem.code, problem.retryable) == (503, "database_read_only", True)
     assert int(problem.headers["retry-after"]) > 0
@@ -56,14 +56,14 @@ def test_a_database_that_is_read_only_is_an_outage(refusal, tmp_path: Path):
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EACCES])
 def test_a_disk_that_takes_nothing_is_an_outage_of_the_store(number: int):
     for error in (OSError(number, os.strerror(number)), StoreUnavailableError("x")):
-        problem = away(error)
+        problem = outage_of(error)
         assert problem is not None
         assert (problem.status, problem.code) == (503, "store_unavailable")
 
 
 def test_a_mistake_is_none(tmp_path: Path):
-    assert away(RuntimeError("x")) is None
-    assert away(FileNotFoundError(errno.ENOENT, "x")) is None
+    assert outage_of(RuntimeError("x")) is None
+    assert outage_of(FileNotFoundError(errno.ENOENT, "x")) is None
     with (
         contextlib.closing(Database(f"sqlite:///{tmp_path / 'x'}")) as database,
         database.read() as connection,
@@ -71,7 +71,7 @@ def test_a_mistake_is_none(tmp_path: Path):
     ):
         connection.execute(text("SELECT 1 +"))
     # SQLite has one kind of error for both.
-    assert away(caught.value) is not None
+    assert outage_of(caught.value) is not None
 
 
 def test_an_outage_is_logged_in_one_line_and_a_mistake_with_its_place():
