@@ -1,6 +1,8 @@
 """The pictures that a folder holds: one JSON line each, written once the picture is complete.
 
-A crash can only cut off the last line, which is then ignored; its picture is made again.
+A batch runs for hours, and is stopped, edited and started again. Its journal says what need not be made
+twice. Lines are only ever added to it while a batch runs: a crash can cut off the last line and no other.
+A half line is ignored, and its picture is made again.
 """
 
 import contextlib
@@ -63,6 +65,7 @@ class Journal:
 
     def known(self, suffix: str, path: str, key: str) -> MadeFile | None:
         """Return the file with this key that lies under this name, else one under another name, else None."""
+        # A file elsewhere serves as well: a picture that was renamed in the batch is copied, not rendered.
         record = self.records.get(path)
         own = record.files.get(suffix) if record is not None else None
         for made in (own, self.by_key.get(key)):
@@ -72,6 +75,7 @@ class Journal:
 
     def is_whole(self, made: MadeFile) -> bool:
         """Return whether the file is there with the bytes it was written with."""
+        # People edit, crop and delete pictures where they lie. The size comes first: it costs no read.
         path = self.folder / made.path
         whole = path.is_file() and path.stat().st_size == made.size_bytes
         return whole and file_sha256(path) == made.sha256
@@ -81,14 +85,17 @@ class Journal:
         return "".join(json.dumps(asdict(self.records[path])) + "\n" for path in sorted(paths))
 
     def add(self, record: Record) -> None:
-        """Keep a record; it survives whatever happens to the program."""
+        """Keep a record of a picture whose files are complete."""
         assert self._file is not None
         self._file.write(json.dumps(asdict(record)) + "\n")
+        # Handed to the system at once, which keeps it when this program is killed. Not forced to the disk: a
+        # power cut may cost the last lines, and all they stand for is pictures that are then made again.
         self._file.flush()
         self._remember(record)
 
     def _remember(self, record: Record) -> None:
         self.records[record.path] = record
+        # Keys of older records stay: `is_whole` tells whether their bytes are still there.
         for made in record.files.values():
             self.by_key[made.key] = made
 
@@ -114,7 +121,8 @@ def open_journal(folder: Path) -> Iterator[Journal]:
     folder.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
         journal, path = peek_journal(folder), folder / NAME
-        # One line for each picture again, and no half line at the end.
+        # Every run adds lines, so the file would grow with each. One line for each picture is left, and no
+        # half line at the end, which the first new line would be glued to.
         with whole_file(path) as partial:
             lines = [json.dumps(asdict(record)) + "\n" for record in journal.records.values()]
             partial.write_text("".join(lines), encoding="utf-8")
@@ -138,11 +146,13 @@ def read_records(path: Path) -> Iterator[Record]:
         return
     with path.open(encoding="utf-8", errors="replace") as file:
         for number, line in enumerate(file, 1):
+            # A crash wrote this much of it. Only the last line can be without its end.
             if not line.endswith("\n"):
                 return
             try:
                 yield record_from_json(json.loads(line))
             except (ValueError, TypeError, KeyError, AttributeError) as error:
+                # Refused, not skipped: `open_journal` writes the file anew, without what it cannot read.
                 raise SettingError(
                     "batch.bad_journal",
                     f"line {number} of {path} was not written by this program ({type(error).__name__})",
@@ -152,7 +162,9 @@ def read_records(path: Path) -> Iterator[Record]:
 
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Hold the folder against other programs, where the system can; the lock ends with the process."""
+    """Hold the folder against other programs, where the system can."""
+    # A lock of the system's, which ends with the process: a file that only stands for one would outlive a
+    # crash, and shut the folder until a user removed it.
     try:
         import fcntl
     except ImportError:  # Windows
