@@ -9,8 +9,9 @@ from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment, environment_from_array
 from lambent_relight.refined.known_light import KnownLight, Spread
+from lambent_relight.refined.passes import Light, Scene
 from lambent_relight.refined.scattering import SurfacePoints
-from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
+from lambent_relight.refined.shading import outgoing_radiance
 from lambent_relight.refined.surroundings import CacheSurroundings
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Plane, Surface
@@ -49,16 +50,9 @@ def between_the_walls(count: int) -> SurfacePoints:
 
 def lit(caches, known, *, count=2000, seed=2, num_samples=16, indirect=True):
     """Return the radiance of the point, if the renderer knows of `known`."""
-    scene = Scene(CacheSurroundings(caches, CORNER.origin_offset, MaterialEdit()))
-    return outgoing_radiance(
-        between_the_walls(count),
-        scene,
-        Light(sky(), LightSampler(sky())),
-        num_samples=num_samples,
-        seed=seed,
-        indirect=indirect,
-        known=known,
-    )
+    around = CacheSurroundings(caches, CORNER.origin_offset, MaterialEdit())
+    scene = Scene(around, Light(sky(), LightSampler(sky())), indirect=indirect)
+    return outgoing_radiance(between_the_walls(count), scene, num_samples=num_samples, seed=seed, known=known)
 
 
 def diffuse_bounce(caches, count, monkeypatch):

@@ -7,8 +7,9 @@ from lambent_relight.bundle.graphs import PointMaterials, SecondaryHits
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import environment_from_array
+from lambent_relight.refined.passes import Light, Scene
 from lambent_relight.refined.scattering import SurfacePoints
-from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
+from lambent_relight.refined.shading import outgoing_radiance
 from lambent_relight.refined.surroundings import CacheSurroundings
 from support.statistics import assert_mean
 
@@ -51,15 +52,10 @@ def test_light_in_a_milky_room_is_a_sum_of_powers(bounces):
     ones = np.ones((count, 1), np.float32)
     materials = materials_from_roughness(ALBEDO * np.ones((count, 3), np.float32), ones, 0 * ones)
     sky = environment_from_array(np.ones((4, 8, 3)))
-    scene = Scene(CacheSurroundings(Wall(), 0.0, MaterialEdit()), most_bounces=bounces)
-    found = outgoing_radiance(
-        SurfacePoints(0 * up, up, up, materials),
-        scene,
-        Light(sky, LightSampler(sky)),
-        num_samples=4,
-        seed=3,
-        indirect=True,
+    scene = Scene(
+        CacheSurroundings(Wall(), 0.0, MaterialEdit()), Light(sky, LightSampler(sky)), most_bounces=bounces
     )
+    found = outgoing_radiance(SurfacePoints(0 * up, up, up, materials), scene, num_samples=4, seed=3)
     each = reflectance()
     expected = each * (1.0 - OPACITY) * sum((OPACITY * each) ** k for k in range(bounces))
     assert_mean(found.direct + found.indirect, np.full(3, expected), expected_error=2e-5)

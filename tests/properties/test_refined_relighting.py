@@ -12,9 +12,10 @@ from lambent_relight.cameras import Camera, look_at
 from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment, environment_from_array
+from lambent_relight.refined.passes import Light, Scene
 from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.scattering import SurfacePoints
-from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
+from lambent_relight.refined.shading import outgoing_radiance
 from lambent_relight.refined.surroundings import CacheSurroundings
 from lambent_relight.renderer import Renderer
 from support.analytic_bundle import write_analytic_bundle
@@ -85,13 +86,12 @@ def relit(
     open_caches, scene, environment, position, viewer, *, count=1500, seed=0, indirect=True, num_samples=8
 ):
     """Return independent estimates [count, 3] of the light that leaves `position` towards `viewer`."""
+    around = CacheSurroundings(open_caches(scene), scene.origin_offset, MaterialEdit())
     radiance = outgoing_radiance(
         surface_points(scene, position, viewer, count),
-        Scene(CacheSurroundings(open_caches(scene), scene.origin_offset, MaterialEdit())),
-        Light(environment, LightSampler(environment)),
+        Scene(around, Light(environment, LightSampler(environment)), indirect=indirect),
         num_samples=num_samples,
         seed=seed,
-        indirect=indirect,
     )
     return (radiance.direct + radiance.indirect).astype(np.float64)
 
@@ -190,15 +190,9 @@ def test_the_stated_standard_error_is_the_spread_of_repeated_renders(caches, ray
     count = 5000
     pixels = fours(count) if rays == 4 else PixelRays.alone(count)
     points = surface_points(scene, (0.4, 0.3, 0.0), (1.0, -2.0, 1.5), rays * count)
-    radiance = outgoing_radiance(
-        points,
-        Scene(CacheSurroundings(caches(scene), scene.origin_offset, MaterialEdit())),
-        Light(environment, LightSampler(environment)),
-        num_samples=num_samples,
-        seed=1,
-        indirect=True,
-        pixels=pixels,
-    )
+    around = CacheSurroundings(caches(scene), scene.origin_offset, MaterialEdit())
+    lit = Scene(around, Light(environment, LightSampler(environment)))
+    radiance = outgoing_radiance(points, lit, num_samples=num_samples, seed=1, pixels=pixels)
     assert radiance.num_samples == num_samples
     total = pixels.mean(radiance.direct + radiance.indirect)
     deviations = (total - total.mean(axis=0)) ** 2
@@ -210,11 +204,12 @@ def test_the_stated_standard_error_is_the_spread_of_repeated_renders(caches, ray
 def test_rays_of_a_pixel_are_quieter_together_and_no_less_by_themselves(caches):
     environment, count = sky(), 400
     points = surface_points(CORNER, (0.5, 0.0, 0.0), (2.0, 1.0, 1.5), 4 * count)
-    scene = Scene(CacheSurroundings(caches(CORNER), CORNER.origin_offset, MaterialEdit()))
-    light, pixels = Light(environment, LightSampler(environment)), fours(count)
+    around = CacheSurroundings(caches(CORNER), CORNER.origin_offset, MaterialEdit())
+    scene = Scene(around, Light(environment, LightSampler(environment)), indirect=False)
+    pixels = fours(count)
     spread, single = {}, {}
     for name, rays in (("shared", pixels), ("own", PixelRays.alone(4 * count))):
-        found = outgoing_radiance(points, scene, light, num_samples=16, seed=2, indirect=False, pixels=rays)
+        found = outgoing_radiance(points, scene, num_samples=16, seed=2, pixels=rays)
         total = (found.direct + found.indirect).astype(np.float64)
         spread[name] = pixels.mean(total).var(axis=0)
         single[name] = total.reshape(count, 4, 3)[:, 0].var(axis=0)
@@ -251,8 +246,8 @@ def veiled(opacity: float, *, seed: int, count: int = 3000):
     veil = Veil(opacity)
     points = surface_points(SHADED, (0.0, 0.0, 0.0), (1.0, -2.0, 1.5), count)
     light = Light(even_sky(), LightSampler(even_sky()))
-    scene = Scene(CacheSurroundings(veil, 0.0, MaterialEdit()))
-    return veil, outgoing_radiance(points, scene, light, num_samples=4, seed=seed, indirect=True)
+    scene = Scene(CacheSurroundings(veil, 0.0, MaterialEdit()), light)
+    return veil, outgoing_radiance(points, scene, num_samples=4, seed=seed)
 
 
 def test_a_half_transparent_hit_shades_and_blocks_by_its_opacity():
@@ -347,17 +342,14 @@ def test_pictures_are_the_same_for_any_number_of_threads(caches, monkeypatch):
     monkeypatch.setattr("lambent_relight.refined.shading.RAYS_PER_CHUNK", 1 << 8)
     environment, finished = sky(), []
     points = surface_points(SHADED, (0.7, 0.2, 0.0), (1.0, -2.0, 2.0), 400)
+    around = CacheSurroundings(caches(SHADED), SHADED.origin_offset, MaterialEdit())
+    light = Light(environment, LightSampler(environment))
     results = [
         outgoing_radiance(
             points,
-            Scene(
-                CacheSurroundings(caches(SHADED), SHADED.origin_offset, MaterialEdit()),
-                num_threads=num_threads,
-            ),
-            Light(environment, LightSampler(environment)),
+            Scene(around, light, num_threads=num_threads),
             num_samples=16,
             seed=3,
-            indirect=True,
             progress=finished.append,
         )
         for num_threads in (1, 3)

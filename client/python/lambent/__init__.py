@@ -8,97 +8,50 @@ from typing import TYPE_CHECKING
 
 # For programs that check types; `__getattr__` does the same when a name is used.
 if TYPE_CHECKING:
-    from lambent.client import Client
-    from lambent.errors import (
-        DigestMismatchError,
-        JobNotSucceededError,
-        LambentError,
-        PointerError,
-        RefusedError,
-        ServerFaultError,
-        UnreachableError,
-        UsageProblemError,
-        WaitTimeoutError,
-    )
-    from lambent.fetch import FetchedBundle
-    from lambent.models import (
-        Artifact,
-        Batch,
-        Delivery,
-        Environment,
-        Event,
-        Finding,
-        Job,
-        JobError,
-        Progress,
-        Scene,
-        SceneReport,
-        Share,
-        Webhook,
-    )
-    from lambent.settings import ServerAddress
-    from lambent.webhooks import WebhookVerificationError
+    from lambent.client import Client as Client
+    from lambent.errors import DigestMismatchError as DigestMismatchError
+    from lambent.errors import JobNotSucceededError as JobNotSucceededError
+    from lambent.errors import LambentError as LambentError
+    from lambent.errors import PointerError as PointerError
+    from lambent.errors import RefusedError as RefusedError
+    from lambent.errors import ServerFaultError as ServerFaultError
+    from lambent.errors import UnreachableError as UnreachableError
+    from lambent.errors import UsageProblemError as UsageProblemError
+    from lambent.errors import WaitTimeoutError as WaitTimeoutError
+    from lambent.fetch import FetchedBundle as FetchedBundle
+    from lambent.models import Artifact as Artifact
+    from lambent.models import Batch as Batch
+    from lambent.models import Delivery as Delivery
+    from lambent.models import Environment as Environment
+    from lambent.models import Event as Event
+    from lambent.models import Finding as Finding
+    from lambent.models import Job as Job
+    from lambent.models import JobError as JobError
+    from lambent.models import Progress as Progress
+    from lambent.models import Scene as Scene
+    from lambent.models import SceneReport as SceneReport
+    from lambent.models import Share as Share
+    from lambent.models import Webhook as Webhook
+    from lambent.settings import ServerAddress as ServerAddress
+    from lambent.webhooks import WebhookVerificationError as WebhookVerificationError
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "Client": "client",
-    "Artifact": "models",
-    "Batch": "models",
-    "Delivery": "models",
-    "Environment": "models",
-    "Event": "models",
-    "Job": "models",
-    "JobError": "models",
-    "Progress": "models",
-    "Finding": "models",
-    "Scene": "models",
-    "SceneReport": "models",
-    "Share": "models",
-    "Webhook": "models",
-    "WebhookVerificationError": "webhooks",
-    "FetchedBundle": "fetch",
-    "ServerAddress": "settings",
-    "DigestMismatchError": "errors",
-    "JobNotSucceededError": "errors",
-    "LambentError": "errors",
-    "PointerError": "errors",
-    "RefusedError": "errors",
-    "ServerFaultError": "errors",
-    "UnreachableError": "errors",
-    "UsageProblemError": "errors",
-    "WaitTimeoutError": "errors",
+    name: home
+    for home, names in {
+        "client": "Client",
+        "errors": "DigestMismatchError JobNotSucceededError LambentError PointerError "
+        "RefusedError ServerFaultError UnreachableError UsageProblemError WaitTimeoutError",
+        "fetch": "FetchedBundle",
+        "models": "Artifact Batch Delivery Environment Event Finding "
+        "Job JobError Progress Scene SceneReport Share Webhook",
+        "settings": "ServerAddress",
+        "webhooks": "WebhookVerificationError",
+    }.items()
+    for name in names.split()
 }
-
-__all__ = [
-    "Artifact",
-    "Batch",
-    "Client",
-    "Delivery",
-    "DigestMismatchError",
-    "Environment",
-    "Event",
-    "FetchedBundle",
-    "Finding",
-    "Job",
-    "JobError",
-    "JobNotSucceededError",
-    "LambentError",
-    "PointerError",
-    "Progress",
-    "RefusedError",
-    "Scene",
-    "SceneReport",
-    "ServerAddress",
-    "ServerFaultError",
-    "Share",
-    "UnreachableError",
-    "UsageProblemError",
-    "WaitTimeoutError",
-    "Webhook",
-    "WebhookVerificationError",
-    "__version__",
-]
+__all__ = ["__version__", *_HOMES]
 
 
 def __getattr__(name: str) -> object:

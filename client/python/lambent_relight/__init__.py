@@ -11,91 +11,50 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lambent_core.errors import (
-        BundleError,
-        CameraError,
-        EnvironmentFileError,
-        RelightError,
-        SettingError,
-        UnsupportedQuality,
-    )
+    from lambent_core.errors import BundleError as BundleError
+    from lambent_core.errors import CameraError as CameraError
+    from lambent_core.errors import EnvironmentFileError as EnvironmentFileError
+    from lambent_core.errors import RelightError as RelightError
+    from lambent_core.errors import SettingError as SettingError
+    from lambent_core.errors import UnsupportedQuality as UnsupportedQuality
 
-    from lambent_relight.bundle.bundle import Bundle, load_bundle
-    from lambent_relight.cameras import (
-        Camera,
-        cameras_from_arrays,
-        cameras_json,
-        load_cameras,
-        look_at,
-        turntable,
-    )
-    from lambent_relight.edits import MaterialEdit
-    from lambent_relight.environment.maps import (
-        Cleaning,
-        Environment,
-        environment_from_array,
-        load_environment,
-        write_environment,
-    )
-    from lambent_relight.images import write_picture_exr, write_png
-    from lambent_relight.picture import RelitPicture
-    from lambent_relight.renderer import Renderer, render
+    from lambent_relight.bundle.bundle import Bundle as Bundle
+    from lambent_relight.bundle.bundle import load_bundle as load_bundle
+    from lambent_relight.cameras import Camera as Camera
+    from lambent_relight.cameras import cameras_from_arrays as cameras_from_arrays
+    from lambent_relight.cameras import cameras_json as cameras_json
+    from lambent_relight.cameras import load_cameras as load_cameras
+    from lambent_relight.cameras import look_at as look_at
+    from lambent_relight.cameras import turntable as turntable
+    from lambent_relight.edits import MaterialEdit as MaterialEdit
+    from lambent_relight.environment.maps import Cleaning as Cleaning
+    from lambent_relight.environment.maps import Environment as Environment
+    from lambent_relight.environment.maps import environment_from_array as environment_from_array
+    from lambent_relight.environment.maps import load_environment as load_environment
+    from lambent_relight.environment.maps import write_environment as write_environment
+    from lambent_relight.images import write_picture_exr as write_picture_exr
+    from lambent_relight.images import write_png as write_png
+    from lambent_relight.picture import RelitPicture as RelitPicture
+    from lambent_relight.renderer import Renderer as Renderer
+    from lambent_relight.renderer import render as render
 
 _HOMES = {
-    "Bundle": "lambent_relight.bundle.bundle",
-    "BundleError": "lambent_core.errors",
-    "Camera": "lambent_relight.cameras",
-    "CameraError": "lambent_core.errors",
-    "Cleaning": "lambent_relight.environment.maps",
-    "Environment": "lambent_relight.environment.maps",
-    "EnvironmentFileError": "lambent_core.errors",
-    "MaterialEdit": "lambent_relight.edits",
-    "RelightError": "lambent_core.errors",
-    "RelitPicture": "lambent_relight.picture",
-    "Renderer": "lambent_relight.renderer",
-    "SettingError": "lambent_core.errors",
-    "UnsupportedQuality": "lambent_core.errors",
-    "cameras_from_arrays": "lambent_relight.cameras",
-    "cameras_json": "lambent_relight.cameras",
-    "environment_from_array": "lambent_relight.environment.maps",
-    "load_bundle": "lambent_relight.bundle.bundle",
-    "load_cameras": "lambent_relight.cameras",
-    "load_environment": "lambent_relight.environment.maps",
-    "look_at": "lambent_relight.cameras",
-    "render": "lambent_relight.renderer",
-    "turntable": "lambent_relight.cameras",
-    "write_environment": "lambent_relight.environment.maps",
-    "write_picture_exr": "lambent_relight.images",
-    "write_png": "lambent_relight.images",
+    name: home
+    for home, names in {
+        "lambent_core.errors": "BundleError CameraError EnvironmentFileError "
+        "RelightError SettingError UnsupportedQuality",
+        "lambent_relight.bundle.bundle": "Bundle load_bundle",
+        "lambent_relight.cameras": "Camera cameras_from_arrays cameras_json load_cameras look_at turntable",
+        "lambent_relight.edits": "MaterialEdit",
+        "lambent_relight.environment.maps": "Cleaning Environment "
+        "environment_from_array load_environment write_environment",
+        "lambent_relight.images": "write_picture_exr write_png",
+        "lambent_relight.picture": "RelitPicture",
+        "lambent_relight.renderer": "Renderer render",
+    }.items()
+    for name in names.split()
 }
-
-__all__ = [
-    "Bundle",
-    "BundleError",
-    "Camera",
-    "CameraError",
-    "Cleaning",
-    "Environment",
-    "EnvironmentFileError",
-    "MaterialEdit",
-    "RelightError",
-    "RelitPicture",
-    "Renderer",
-    "SettingError",
-    "UnsupportedQuality",
-    "cameras_from_arrays",
-    "cameras_json",
-    "environment_from_array",
-    "load_bundle",
-    "load_cameras",
-    "load_environment",
-    "look_at",
-    "render",
-    "turntable",
-    "write_environment",
-    "write_picture_exr",
-    "write_png",
-]
+__all__ = [*_HOMES]
 
 
 def __getattr__(name: str) -> object:

@@ -28,10 +28,10 @@ from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.environment.maps import Environment, as_environment
 from lambent_relight.picture import RelitPicture
 from lambent_relight.refined.denoising import denoised
+from lambent_relight.refined.passes import Light, Scene
 from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.sampling_plan import estimated
 from lambent_relight.refined.scattering import SurfacePoints
-from lambent_relight.refined.shading import Light, Scene
 from lambent_relight.refined.surroundings import CacheSurroundings
 from lambent_relight.settings import BACKGROUNDS, Colour, settled
 from lambent_relight.views import View, look
@@ -223,7 +223,8 @@ class Renderer:
             around: MeshSurroundings | CacheSurroundings = MeshSurroundings(self.baked().traced, edit)
         else:
             around = CacheSurroundings(caches, offset, edit)
-        plain = Scene(around, num_threads=num_threads)
+        light = self._prepared(environment)
+        plain = Scene(around, light, num_threads=num_threads, indirect=settings.indirect)
         bounces = settings.bounces
         if bounces.isdecimal():
             return replace(plain, most_bounces=int(bounces)), bounces if settings.indirect else ""
@@ -231,17 +232,17 @@ class Renderer:
             return plain, ""
         if bounces in ("auto", "adapted"):
             insists = bounces == "adapted"
-            light, why_not = choose(self.bundle, environment, edit, although_worse=insists)
-            if light is not None:
+            cache, why_not = choose(self.bundle, environment, edit, although_worse=insists)
+            if cache is not None:
                 # The adapted cache's opacities belong to its radiance, and to its own start of rays.
                 around = CacheSurroundings(caches, offset, edit)
-                adapted = functools.partial(networks.adapted, light.name)
+                adapted = functools.partial(networks.adapted, cache.name)
                 if settings.occlusion == "mesh":
-                    says = f'the fast cache adapted to "{light.name}" says what is in the way of its light'
+                    says = f'the fast cache adapted to "{cache.name}" says what is in the way of its light'
                     self._tell(
                         f'occlusion="mesh" has no effect: {says}; bounces="transport" leaves that to the mesh'
                     )
-                return Scene(around, adapted, num_threads=num_threads), f"adapted:{light.name}"
+                return replace(plain, around=around, adapted=adapted), f"adapted:{cache.name}"
             if insists:
                 reason = why_not or "the bundle has no adapted caches"
                 advice = "run lambent bake-light for this light, or leave the bounces to auto"
@@ -266,7 +267,6 @@ class Renderer:
         settings: RenderSettings,
         progress: Callable[[float], None] | None,
     ) -> RelitPicture:
-        light = self._prepared(environment)
         view = self.view(camera, settings.antialias)
         seen = view.hits
         albedo, roughness = edit.apply(seen.albedo, seen.perceptual_roughness)
@@ -283,7 +283,7 @@ class Renderer:
             hits = self.baked().hits(environment, edit) if bounces == "baked" else None
             sky = environment if isinstance(scene.around, MeshSurroundings) else None
             known = self.baked().known_light(points, settled, hits=hits, sky=sky)
-        radiance = estimated(points, pixels, scene, light, settings, progress, known)
+        radiance = estimated(points, pixels, scene, settings, progress, known)
         coverage, distance = view.coverage(), view.mean(seen.distance)
         direct, bounced, specular = map(view.mean, (radiance.direct, radiance.indirect, radiance.specular))
         return RelitPicture(

@@ -12,8 +12,9 @@ from lambent_relight.edits import MaterialEdit
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.refined.known_light import KnownLight, Spread
 from lambent_relight.refined.known_sky import KnownSky, SkyCells
+from lambent_relight.refined.passes import Light, Scene
 from lambent_relight.refined.scattering import SurfacePoints
-from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
+from lambent_relight.refined.shading import outgoing_radiance
 from support.baked_bundle import SCENE, baked_transport
 from support.statistics import assert_mean
 
@@ -53,8 +54,8 @@ def true_bits(traced, points) -> np.ndarray:
 
 def lit(traced, environment, points, known, *, seed=0):
     light = Light(environment, LightSampler(environment))
-    scene = Scene(MeshSurroundings(traced, MaterialEdit()))
-    return outgoing_radiance(points, scene, light, num_samples=16, seed=seed, indirect=False, known=known)
+    scene = Scene(MeshSurroundings(traced, MaterialEdit()), light, indirect=False)
+    return outgoing_radiance(points, scene, num_samples=16, seed=seed, known=known)
 
 
 def known_sky(environment, bits, points) -> KnownLight:

@@ -155,7 +155,7 @@ def test_no_pixel_gets_more_than_64_times_the_first_round_and_those_that_lack_th
     place = np.repeat(np.arange(count, dtype=np.float32)[:, None], rays, axis=0)
     points = SurfacePoints(place, place, place, place)
     settings = settled(spp=spp, antialias=1, until_stderr=1e-3)
-    found = estimated(points, pixels, None, None, settings, None)
+    found = estimated(points, pixels, None, settings, None)
     first = math.prod(split_samples(max(2, spp), rays))
     most = MAX_FACTOR * first
     assert found.num_samples.max() <= most
@@ -177,7 +177,7 @@ def test_no_two_rounds_draw_the_same_directions(monkeypatch):
     place = np.zeros((8, 3), np.float32)
     points = SurfacePoints(place, place, place, place)
     settings = settled(spp=4, antialias=1, until_stderr=1e-2, seed=5)
-    estimated(points, PixelRays.alone(8), None, None, settings, None)
+    estimated(points, PixelRays.alone(8), None, settings, None)
     assert len(seeds) > 2
     assert len(set(seeds)) == len(seeds)
     assert seeds[0] == 5

@@ -8,11 +8,12 @@ from lambent_relight import Renderer, environment_from_array, load_bundle
 from lambent_relight.baked.traced_surface import MeshSurroundings
 from lambent_relight.brdf import materials_from_roughness
 from lambent_relight.edits import MaterialEdit
+from lambent_relight.environment.level_lookup import map_at, place_on_map
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.refined.known_light import KnownLight
+from lambent_relight.refined.passes import Light, Scene
 from lambent_relight.refined.scattering import SurfacePoints
-from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
-from lambent_relight.refined.traced_kernels import place_on_map, sky_at
+from lambent_relight.refined.shading import outgoing_radiance
 from support.baked_bundle import write_baked_bundle
 
 
@@ -58,10 +59,10 @@ def test_the_loop_finds_what_arrays_of_rays_find(baked, indirect, most_bounces):
     found = []
     for kind in (MeshSurroundings, AskedAsArrays):
         around = kind(baked.traced, MaterialEdit(), hits.at_texels)
-        scene = Scene(around, most_bounces=most_bounces)
-        way = {"num_samples": 256, "seed": 4, "indirect": indirect}
+        scene = Scene(around, light, most_bounces=most_bounces, indirect=indirect)
+        way = {"num_samples": 256, "seed": 4}
         known = KnownLight(np.zeros((60, 3), np.float32), np.arange(60) % 2 > 0)
-        found.append(outgoing_radiance(points, scene, light, known=known, **way))
+        found.append(outgoing_radiance(points, scene, known=known, **way))
     assert 0.1 < found[0].visibility.mean() < 0.95
     for name in ("direct", "visibility"):
         np.testing.assert_allclose(getattr(found[0], name), getattr(found[1], name), rtol=2e-4, atol=2e-5)
@@ -79,5 +80,5 @@ def test_the_loop_looks_up_the_sky_as_environments_do():
     directions = np.concatenate([directions, [[1e-3, 0.0, 1.0], [0.0, 1e-3, -1.0], [-1.0, 1e-9, 0.0]]])
     directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
     turn = np.float32(environment.rotate_deg / 360.0)
-    found = [sky_at(environment.radiance, *place_on_map(turn, *direction)) for direction in directions]
+    found = [map_at(environment.radiance, *place_on_map(turn, *direction)) for direction in directions]
     np.testing.assert_allclose(found, environment.lookup(directions), rtol=1e-3, atol=1e-3)

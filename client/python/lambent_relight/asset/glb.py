@@ -12,8 +12,9 @@ from lambent_core.errors import BundleError
 from PIL import Image
 
 from lambent_relight.asset.ktx2 import KTX2, MIME, ktx2_of
-from lambent_relight.asset.textured_mesh import TexturedMesh, textures_of
+from lambent_relight.asset.textured_mesh import TexturedMesh
 from lambent_relight.baked.mesh import UNREADABLE, glb_chunks, glb_of, glb_view
+from lambent_relight.baked.mesh_textures import textures_of
 
 WEBP = "EXT_texture_webp"
 

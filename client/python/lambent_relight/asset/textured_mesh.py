@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from lambent_core.colour import linear_from_srgb, srgb_from_linear
-from lambent_core.errors import BundleError
 from numpy.typing import NDArray
 from PIL import Image
 
-from lambent_relight.baked.mesh import UNREADABLE, glb_chunks, mesh_from_glb
-from lambent_relight.baked.mesh_textures import pixels_of, texture_png, textures_of
+from lambent_relight.baked.mesh import mesh_from_glb
+from lambent_relight.baked.mesh_textures import pixels_of, texture_files
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -44,15 +43,7 @@ def textured_mesh_from_glb(data: bytes) -> TexturedMesh:
     Raises BundleError `bundle.mesh_invalid` for a file that cannot be read, and for one without textures.
     """
     mesh = mesh_from_glb(data)
-    try:
-        document, payload = glb_chunks(data)
-        colour, packed, bent = (texture_png(document, payload, texture) for texture in textures_of(document))
-    except UNREADABLE as error:
-        raise BundleError(
-            "bundle.mesh_invalid",
-            f"mesh/asset.glb has no textures that can be read ({str(error)[:100]})",
-            "export the bundle again with `lambent export`",
-        ) from error
+    colour, packed, bent = texture_files(data)
     assert mesh.normals is not None, "every mesh of a bundle has normals"
     return TexturedMesh(
         vertices=mesh.vertices,

@@ -15,7 +15,7 @@ from lambent_compute.threads import available_threads, for_each
 from lambent_core.colour import linear_from_srgb, srgb_from_linear
 from numpy.typing import NDArray
 
-from lambent_relight.baked.mesh_textures import material_textures
+from lambent_relight.baked.mesh_textures import pixels_of, texture_files
 
 _PLACES_PER_TASK = 1 << 16
 _ROWS_AT_ONCE = 256
@@ -77,7 +77,7 @@ def material_maps(glb: bytes, texel_size: float, least_size: int) -> MaterialMap
 
     Their smaller versions have at least `least_size` texels a side.
     """
-    colour, packed, normal = material_textures(glb)
+    colour, packed, normal = map(pixels_of, texture_files(glb))
     return MaterialMaps(
         _smaller(colour, least_size, srgb_from_linear, _linear_levels()),
         _smaller(packed, least_size, np.asarray, _levels()),

@@ -18,10 +18,10 @@ from lambent_relight.bundle.bundle import MAX_ATLAS
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
-def material_textures(data: bytes) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return base colour (sRGB-encoded); occlusion, roughness and metalness; and normals, of a GLB.
+def texture_files(data: bytes) -> tuple[bytes, bytes, bytes]:
+    """Return base colour (sRGB-encoded); occlusion, roughness and metalness; and normals, of a GLB, as PNGs.
 
-    8-bit pixels [height, width, 3]. Raises BundleError `bundle.mesh_invalid` where they are not there.
+    Raises BundleError `bundle.mesh_invalid` where they are missing.
     """
     try:
         document, payload = glb_chunks(data)
@@ -32,7 +32,7 @@ def material_textures(data: bytes) -> tuple[NDArray[np.uint8], NDArray[np.uint8]
             f"mesh/asset.glb has no textures that can be read ({str(error)[:100]})",
             "export the bundle again with `lambent export`",
         ) from error
-    return pixels_of(colour), pixels_of(packed), pixels_of(normal)
+    return colour, packed, normal
 
 
 def textures_of(document: dict[str, Any]) -> list[dict[str, Any]]:

@@ -1,6 +1,7 @@
 """Renders the qualities `preview` and `baked`; views and lights are cached between pictures."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -50,9 +51,6 @@ class BakedRenderer:
         self._caches = caches
         self._views: dict[tuple[bytes, int, bool], BakedView] = {}
         self._known: _Prepared | None = None
-        self._finder: HitFinder | None = None
-        self._traced: TracedSurface | None = None
-        self._blocks: SurfaceBlocks | None = None
         self._cells: tuple[Environment, SkyCells] | None = None
         self._shadows: dict[tuple[bytes, float], ShadowMap] = {}
         self._lights: list[tuple[Environment, int, BakedLight]] = []
@@ -76,42 +74,34 @@ class BakedRenderer:
 
     def light(self, environment: Environment, dominant_lights: int) -> BakedLight:
         """Return `environment` prepared for rendering; the last few are cached, whatever their rotation."""
-        known = next(
-            (
-                light
-                for light in self._lights
-                if light[0].radiance is environment.radiance and light[1] == dominant_lights
-            ),
-            None,
-        )
+        same = [light for light in self._lights if light[0].radiance is environment.radiance]
+        known = next((light for light in same if light[1] == dominant_lights), None)
         if known is None:
             bands = round(len(self.scene.transport.direct) ** 0.5)
             # Levels do not depend on the lights that are split off.
-            levels = next(
-                (
-                    light.prefiltered.rotated(environment.rotate_deg - other.rotate_deg)
-                    for other, _, light in self._lights
-                    if other.radiance is environment.radiance
-                ),
-                None,
-            )
+            turns = ((light, environment.rotate_deg - other.rotate_deg) for other, _, light in same)
+            levels = next((light.prefiltered.rotated(turn) for light, turn in turns), None)
             light = prepare_light(environment, bands, dominant_lights, levels)
             known = (environment, dominant_lights, light)
             self._lights = [*self._lights[1 - _KEPT_LIGHTS :], known]
         turn = environment.rotate_deg - known[0].rotate_deg
         return known[2].rotated(turn) if turn else known[2]
 
-    @property
+    @cached_property
     def traced(self) -> TracedSurface:
-        """The mesh, prepared for rays when first asked for."""
-        if self._traced is None:
-            self._traced = TracedSurface(self.scene)
-        return self._traced
+        """The mesh, prepared for rays when first needed."""
+        return TracedSurface(self.scene)
+
+    @cached_property
+    def _finder(self) -> HitFinder:
+        return HitFinder(self.scene)
+
+    @cached_property
+    def _blocks(self) -> SurfaceBlocks:
+        return SurfaceBlocks(self.scene)
 
     def hits(self, environment: Environment, edit: MaterialEdit) -> BakedHits:
         """Return the radiance of hit points in refined relighting under `environment`."""
-        if self._finder is None:
-            self._finder = HitFinder(self.scene)
         can_split = self.scene.transport.shadow_bits is not None
         light = self.light(environment, MAX_DOMINANT if can_split else 0)
         return BakedHits(self._finder, light, edit)
@@ -129,8 +119,6 @@ class BakedRenderer:
         `settled` says where the points are on the mesh; `hits` has the light of other surfaces and `sky` that
         of the environment, where they are to be known.
         """
-        if self._blocks is None:
-            self._blocks = SurfaceBlocks(self.scene)
         materials = points.materials
         reflected = (1.0 - materials.metalness) * materials.albedo / np.float32(np.pi)
         light = KnownLight.nothing(len(points.position))
@@ -233,16 +221,7 @@ def _still(view: BakedView, lobes: Lobes) -> RelitPicture:
         num_samples=0,
         camera_attributes=view.camera.exr_attributes(),
     )
-    for name in (
-        "opacity",
-        "standard_error",
-        "visibility",
-        "albedo",
-        "normal",
-        "perceptual_roughness",
-        "metalness",
-        "distance",
-        "depth",
-    ):
-        getattr(still, name).flags.writeable = False
+    for image in vars(still).values():
+        if isinstance(image, np.ndarray):
+            image.flags.writeable = False
     return still

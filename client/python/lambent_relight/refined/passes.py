@@ -39,25 +39,26 @@ class Light:
 
 @dataclass(frozen=True)
 class Scene:
-    """The object that is lit."""
+    """The object and its light."""
 
     around: Surroundings
     """What secondary rays meet."""
+    light: Light
     adapted: Callable[[NDArray[np.float32], NDArray[np.float32]], AdaptedHits] | None = None
     """Hits of rays [n, 3] and their radiance under exactly this light; takes precedence over `around`."""
     most_bounces: int = 0
     """Reflections of light on its way to the eye, as random paths; 0: all that `around` knows, else two."""
     num_threads: int = 1
     """Threads that may call these functions at once."""
+    indirect: bool = True
+    """Whether light that other surfaces reflect counts."""
 
 
 def one_pass(
     points: SurfacePoints,
     u: NDArray[np.float64],
     scene: Scene,
-    light: Light,
     rng: np.random.Generator,
-    indirect: bool,
     known: KnownLight,
 ) -> NDArray[np.float32]:
     """Return means over directions of points [point, 3], drawn from uniforms `u` [ray, 3], [6, point, 3].
@@ -66,12 +67,11 @@ def one_pass(
     radiance of the diffuse lobe where it is `known`, which the second lacks; and what the same directions
     find of the known sky. Rays divide evenly among the points, in their order.
     """
-    drawn = draw_directions(points, light.sampler, u, strategy_shares(points, light.sampler))
+    sampler = scene.light.sampler
+    drawn = draw_directions(points, sampler, u, strategy_shares(points, sampler))
     result = np.zeros((6, len(points.position), 3))
-    if scene.around.mesh is not None and (scene.adapted is None or not indirect):
-        _trace(points, drawn, scene, light, rng, indirect, known, result)
-    else:
-        _ask(points, drawn, scene, light, rng, indirect, known, result)
+    traced = scene.around.mesh is not None and (scene.adapted is None or not scene.indirect)
+    (_trace if traced else _ask)(points, drawn, scene, rng, known, result)
     return result.astype(np.float32)
 
 
@@ -79,9 +79,7 @@ def _trace(
     points: SurfacePoints,
     drawn: LightDirections,
     scene: Scene,
-    light: Light,
     rng: np.random.Generator,
-    indirect: bool,
     known: KnownLight,
     result: NDArray[np.float64],
 ) -> None:
@@ -90,28 +88,27 @@ def _trace(
 
     mesh, offset = scene.around.mesh, np.float32(scene.around.origin_offset)
     assert mesh is not None
+    environment = scene.light.environment
     origin = np.ascontiguousarray(points.position + offset * points.normal, np.float32)
     rays, where = np.empty((2, len(drawn.omega_i)), np.int32), np.empty((len(drawn.omega_i), 3), np.float32)
     lobes = (drawn.diffuse, drawn.specular)
     count = kernels.follow(
         (mesh.tree, mesh.one_sided),
-        (light.environment.radiance, np.float32(light.environment.rotate_deg / 360.0)),
+        (environment.radiance, np.float32(environment.rotate_deg / 360.0)),
         (origin, np.ascontiguousarray(points.normal, np.float32)),
         cells_of(known.sky),
         (drawn.omega_i, *lobes, drawn.pdf_solid_angle[:, 0]),
-        indirect,
+        scene.indirect,
         rays,
         where,
         result,
     )
     ray, face, where = rays[0, :count], rays[1, :count], where[:count]
-    if not indirect or count == 0:
+    if not scene.indirect or count == 0:
         return
     met = scene.around.met(face, where)
     direction = drawn.omega_i[ray]
-    bouncing = _reflected(
-        met, origin[ray // (len(drawn.omega_i) // len(origin))], direction, scene, light, rng
-    )
+    bouncing = _reflected(met, origin[ray // (len(drawn.omega_i) // len(origin))], direction, scene, rng)
     kernels.add_bounces(ray, known.known, *lobes, np.ascontiguousarray(bouncing, np.float32), result)
 
 
@@ -119,9 +116,7 @@ def _ask(
     points: SurfacePoints,
     drawn: LightDirections,
     scene: Scene,
-    light: Light,
     rng: np.random.Generator,
-    indirect: bool,
     known: KnownLight,
     result: NDArray[np.float64],
 ) -> None:
@@ -132,15 +127,15 @@ def _ask(
     owner = active // per_pass
     normal, direction = points.normal[owner], drawn.omega_i[active]
     origin = points.position[owner] + np.float32(scene.around.origin_offset) * normal
-    adapted = scene.adapted(origin, direction) if indirect and scene.adapted is not None else None
+    adapted = scene.adapted(origin, direction) if scene.indirect and scene.adapted is not None else None
     seen = scene.around.meet(origin, direction) if adapted is None else Met(adapted.opacity, adapted.distance)
-    arriving = (1.0 - seen.opacity) * light.environment.lookup(direction)
+    arriving = (1.0 - seen.opacity) * scene.light.environment.lookup(direction)
     bouncing = np.zeros_like(arriving) if adapted is None else adapted.radiance
-    if indirect and adapted is None:
+    if scene.indirect and adapted is None:
         # Below `FOLLOWED`, a hit of opacity a is followed with probability a / FOLLOWED, at weight FOLLOWED:
         # the mean is that of following all at weight a.
         hit = np.flatnonzero(FOLLOWED * rng.random(len(active)) < seen.opacity[:, 0])
-        bouncing[hit] = _reflected(seen[hit], origin[hit], direction[hit], scene, light, rng)
+        bouncing[hit] = _reflected(seen[hit], origin[hit], direction[hit], scene, rng)
         bouncing[hit] *= np.maximum(seen.opacity[hit], np.float32(FOLLOWED))
     cosine = cosine_pdf(direction, normal)[:, 0] / drawn.pdf_solid_angle[active, 0]
     lobes = (drawn.diffuse, drawn.specular)
@@ -153,13 +148,12 @@ def _reflected(
     origin: NDArray[np.float32],
     direction: NDArray[np.float32],
     scene: Scene,
-    light: Light,
     rng: np.random.Generator,
 ) -> NDArray[np.float32]:
     """Return what comes back along rays that met something, [ray, 3]."""
     if scene.most_bounces == 0 and scene.around.has_radiance:
         return scene.around.radiance(met, origin + met.distance * direction, -direction)
-    return _path_radiance(met, origin, direction, scene, light, rng, (scene.most_bounces or 2) - 1)
+    return _path_radiance(met, origin, direction, scene, rng, (scene.most_bounces or 2) - 1)
 
 
 def _path_radiance(
@@ -167,7 +161,6 @@ def _path_radiance(
     origin: NDArray[np.float32],
     direction: NDArray[np.float32],
     scene: Scene,
-    light: Light,
     rng: np.random.Generator,
     most_bounces: int,
 ) -> NDArray[np.float32]:
@@ -179,9 +172,9 @@ def _path_radiance(
     if most_bounces < 1 or len(origin) == 0:
         return np.zeros((len(origin), 3), np.float32)
     points = scene.around.surface(met, origin + met.distance * direction, -direction)
-    drawn = draw_directions(
-        points, light.sampler, rng.random((len(origin), 3)), strategy_shares(points, light.sampler)
-    )
+    light = scene.light
+    shares = strategy_shares(points, light.sampler)
+    drawn = draw_directions(points, light.sampler, rng.random((len(origin), 3)), shares)
     active = drawn.active
     start = points.position[active] + np.float32(scene.around.origin_offset) * points.normal[active]
     onwards = drawn.omega_i[active]
@@ -189,9 +182,7 @@ def _path_radiance(
     arriving = (1.0 - seen.opacity) * light.environment.lookup(onwards)
     if most_bounces > 1:
         hit = np.flatnonzero(rng.random(len(active)) < seen.opacity[:, 0])
-        arriving[hit] += _path_radiance(
-            seen[hit], start[hit], onwards[hit], scene, light, rng, most_bounces - 1
-        )
+        arriving[hit] += _path_radiance(seen[hit], start[hit], onwards[hit], scene, rng, most_bounces - 1)
     radiance = np.zeros((len(origin), 3), np.float32)
     radiance[active] = drawn.weight[active] * arriving
     return radiance

@@ -16,7 +16,7 @@ from lambent_relight.refined.known_light import KnownLight
 from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.running import Running
 from lambent_relight.refined.scattering import SurfacePoints
-from lambent_relight.refined.shading import Light, Scene, outgoing_radiance, split_samples
+from lambent_relight.refined.shading import Scene, outgoing_radiance, split_samples
 
 MAX_FACTOR = 64
 """A pixel that is still noisier than requested gets no more than this many times the first round's
@@ -34,7 +34,6 @@ def estimated(
     points: SurfacePoints,
     pixels: PixelRays,
     scene: Scene,
-    light: Light,
     settings: RenderSettings,
     progress: Callable[[float], None] | None,
     known: KnownLight | None = None,
@@ -61,10 +60,8 @@ def estimated(
             radiance = outgoing_radiance(
                 points[there],
                 scene,
-                light,
                 num_samples=int(length),
                 seed=settings.seed + _NEXT_ROUND * number,
-                indirect=settings.indirect,
                 pixels=rays,
                 known=known[there],
                 shares=None if shares is None else shares[:, chosen],

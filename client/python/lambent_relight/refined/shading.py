@@ -20,7 +20,7 @@ from lambent_compute.threads import in_order
 from numpy.typing import NDArray
 
 from lambent_relight.refined.known_light import KnownLight, Shares, Spread
-from lambent_relight.refined.passes import Light, Scene, one_pass
+from lambent_relight.refined.passes import Scene, one_pass
 from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.scattering import SurfacePoints
 
@@ -64,11 +64,9 @@ def split_samples(num_samples: int, rays_per_pixel: int) -> tuple[int, int]:
 def outgoing_radiance(
     points: SurfacePoints,
     scene: Scene,
-    light: Light,
     *,
     num_samples: int,
     seed: int,
-    indirect: bool,
     pixels: PixelRays | None = None,
     known: KnownLight | None = None,
     shares: Shares | None = None,
@@ -94,7 +92,7 @@ def outgoing_radiance(
         rng = np.random.default_rng([seed, *task])
         run, rays = parts[task[1]]
         u = rays.uniforms(per_pass, rng)
-        return one_pass(points[run], u, scene, light, rng, indirect, known[run])
+        return one_pass(points[run], u, scene, rng, known[run])
 
     # In the order of the tasks, so that sums are the same for any number of threads.
     with closing(in_order(work, tasks, scene.num_threads)) as results:
@@ -111,7 +109,7 @@ def outgoing_radiance(
     if shares is None:
         shares = spread.best_shares(pixels.mean(means[0] + means[1] + known.radiance))
     from_rays, taken_out = shares[:, pixels.pixel, None]
-    if indirect:
+    if scene.indirect:
         means[1] += from_rays * means[4] + (1.0 - from_rays) * known.radiance
     if known.sky is not None:
         means[0] -= taken_out * (means[5] - known.sky.radiance)

@@ -3,40 +3,10 @@
 import math
 
 import numpy as np
-from lambent_compute.compiling import compiled, inlined
+from lambent_compute.compiling import compiled
 
+from lambent_relight.environment.level_lookup import map_at, place_on_map
 from lambent_relight.tracing.kernels import STACK, first_face
-
-
-@inlined()
-def place_on_map(turn, x, y, z):
-    """Return the image coordinates (u, v) of a unit direction on a map turned by the share `turn`."""
-    u = np.float32(0.5) - np.float32(math.atan2(y, x)) / np.float32(2.0 * math.pi) + turn
-    u -= np.float32(math.floor(u))
-    v = np.float32(math.atan2(math.sqrt(x * x + y * y), z)) / np.float32(math.pi)
-    return u, v
-
-
-@inlined()
-def sky_at(image, u, v):
-    """Return the radiance of a map at image coordinates: `Environment.lookup` of one direction."""
-    height, width = image.shape[0], image.shape[1]
-    column = u * np.float32(width) - np.float32(0.5)
-    row = min(max(v * np.float32(height) - np.float32(0.5), np.float32(0.0)), np.float32(height - 1))
-    left, top = np.int64(math.floor(column)), np.int64(row)
-    across, down = column - np.float32(left), row - np.float32(top)
-    left %= width
-    right, bottom = (left + 1) % width, min(top + 1, height - 1)
-    one = np.float32(1.0)
-    a, b = (one - across) * (one - down), across * (one - down)
-    c, d = (one - across) * down, across * down
-    red = a * image[top, left, 0] + b * image[top, right, 0]
-    red += c * image[bottom, left, 0] + d * image[bottom, right, 0]
-    green = a * image[top, left, 1] + b * image[top, right, 1]
-    green += c * image[bottom, left, 1] + d * image[bottom, right, 1]
-    blue = a * image[top, left, 2] + b * image[top, right, 2]
-    blue += c * image[bottom, left, 2] + d * image[bottom, right, 2]
-    return red, green, blue
 
 
 @compiled()
@@ -81,7 +51,7 @@ def follow(mesh, sky, points, known, drawn, listed, rays, where, out):
                 continue
             cosine = max(normal[p, 0] * x + normal[p, 1] * y + normal[p, 2] * z, np.float32(0.0))
             free += cosine / (math.pi * pdf[r])
-            light = sky_at(image, u, v)
+            light = map_at(image, u, v)
             for k in range(3):
                 out[0, p, k] += (diffuse[r, k] + specular[r, k]) * light[k] / per_point
                 out[2, p, k] += specular[r, k] * light[k] / per_point

@@ -8,7 +8,7 @@ import pytest
 from lambent_asset.bundle.glb import write_glb
 from lambent_relight import BundleError
 from lambent_relight.baked.mesh import glb_chunks, mesh_from_glb
-from lambent_relight.baked.mesh_textures import material_textures
+from lambent_relight.baked.mesh_textures import texture_files
 from support.atlas_box import atlas_box, coloured
 from support.spoilt_glb import spoilt_glb, with_document
 
@@ -26,7 +26,7 @@ def ending(read, data):
     return "read"
 
 
-@pytest.mark.parametrize("read", [material_textures, mesh_from_glb])
+@pytest.mark.parametrize("read", [texture_files, mesh_from_glb])
 def test_no_value_in_the_file_ends_in_anything_but_a_refusal_or_pictures(read):
     rng = np.random.default_rng(7)
     ends = [ending(read, spoilt_glb(DATA, rng)) for _ in range(400)]
@@ -37,7 +37,7 @@ def test_no_value_in_the_file_ends_in_anything_but_a_refusal_or_pictures(read):
 def test_views_of_another_type_are_refused(views):
     document = glb_chunks(DATA)[0]
     document["bufferViews"] = views
-    assert ending(material_textures, with_document(DATA, document)) == "refused"
+    assert ending(texture_files, with_document(DATA, document)) == "refused"
 
 
 @pytest.mark.parametrize("size", [(8193, 1), (1, 8193), (65535, 65535), (2**31 - 1, 2**31 - 1)])
@@ -49,4 +49,4 @@ def test_a_picture_beyond_the_largest_atlas_is_refused_before_it_is_decoded(size
     start = DATA.index(payload) + view["byteOffset"] + 8
     spoilt = DATA[:start] + chunk + DATA[start + len(chunk) :]
     with pytest.raises(BundleError, match=f"{size[0]} x {size[1]} texels, more than 8192"):
-        material_textures(spoilt)
+        texture_files(spoilt)

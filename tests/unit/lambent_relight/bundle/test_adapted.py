@@ -17,8 +17,9 @@ from lambent_relight.bundle.adapted import AdaptedLight, adapted_lights, choose,
 from lambent_relight.bundle.graphs import AdaptedHits, OnnxCaches, SecondaryHits
 from lambent_relight.environment.light_sampling import LightSampler
 from lambent_relight.fused.reader import FusedCaches
+from lambent_relight.refined.passes import Light, Scene
 from lambent_relight.refined.scattering import SurfacePoints
-from lambent_relight.refined.shading import Light, Scene, outgoing_radiance
+from lambent_relight.refined.shading import outgoing_radiance
 from lambent_relight.refined.surroundings import CacheSurroundings
 from support.network_bundle import write_network_bundle
 from support.sphere_model import sphere_model
@@ -173,9 +174,9 @@ def test_matter_as_bright_as_the_sky_behind_it_does_not_show():
         return AdaptedHits(opacity=opacity, distance=opacity, radiance=np.float32(0.7) * opacity.repeat(3, 1))
 
     light = Light(sky, LightSampler(sky))
-    empty = Scene(CacheSurroundings(Nothing(), 0.01, MaterialEdit()))
-    arguments = {"num_samples": 16, "seed": 3, "indirect": True}
-    bare = outgoing_radiance(points, empty, light, **arguments)
-    hidden = outgoing_radiance(points, replace(empty, adapted=fog), light, **arguments)
+    empty = Scene(CacheSurroundings(Nothing(), 0.01, MaterialEdit()), light)
+    arguments = {"num_samples": 16, "seed": 3}
+    bare = outgoing_radiance(points, empty, **arguments)
+    hidden = outgoing_radiance(points, replace(empty, adapted=fog), **arguments)
     np.testing.assert_allclose(hidden.direct + hidden.indirect, bare.direct, rtol=1e-5)
     assert 0.3 < float(hidden.indirect.mean() / bare.direct.mean()) < 0.7
