@@ -20,6 +20,19 @@ def problem(status: int, code: str, **more: Any) -> httpx2.Response:
     return httpx2.Response(status, json=body, headers={"content-type": "application/problem+json"})
 
 
+class Time:
+    """A clock that only sleeping moves."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+    def clock(self) -> float:
+        return self.now
+
+
 @dataclass
 class FakeServer:
     """State of the server; `requests` lists "METHOD path" in order, `faults` may answer instead of it."""

@@ -6,6 +6,7 @@ import numpy as np
 import OpenEXR
 from lambent.cli import app
 from lambent_relight import write_environment
+from lambent_relight.batch.journal import MadeFile, Record
 from PIL import Image
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere
@@ -61,3 +62,21 @@ def table(folder):
 def states(folder):
     """Return the states of all pictures by name."""
     return {name: line["state"] for name, line in table(folder).items()}
+
+
+def record(path: str, files: dict[str, MadeFile], size: tuple[int, int] = (8, 6)) -> Record:
+    """Return the record of a picture with these files."""
+    return Record(
+        path=path,
+        asset="a",
+        environment="e",
+        quality="q",
+        camera="c",
+        files=files,
+        width=size[0],
+        height=size[1],
+        seconds=1.25,
+        num_samples=8,
+        mean_standard_error=0.01,
+        relative_standard_error=0.05,
+    )

@@ -67,6 +67,11 @@ def key_of(bundle: Path) -> Path:
     return bundle.parent / "key.pem"
 
 
+def statement_beside(bundle: Path) -> dict[str, Any]:
+    envelope = json.loads(provenance.beside(bundle).read_text())
+    return json.loads(base64.b64decode(envelope["payload"]))
+
+
 def test_a_bundle_that_is_whole_says_where_it_is_from(bundle: Path, signer: Signer):
     found = provenance.verify(bundle, key=key_of(bundle))
     assert (found.num_files, found.key_id, found.trusted) == (3, signer.key_id, True)
@@ -84,12 +89,7 @@ def test_the_answer_of_the_server_is_a_key_file_too(bundle: Path, signer: Signer
 
 
 def test_an_archive_is_verified_as_it_is(bundle: Path):
-    archive = bundle.with_name("cow.relight.zip")
-    with zipfile.ZipFile(archive, "w") as file:
-        for path in bundle.rglob("*"):
-            if path.is_file():
-                file.write(path, path.relative_to(bundle).as_posix())
-    shutil.copy(provenance.beside(bundle), provenance.beside(archive))
+    archive = zipped(bundle, zipfile.ZIP_STORED)
     assert provenance.verify(archive, key=key_of(bundle)).num_files == 3
     data = bytearray(archive.read_bytes())
     at = data.index(b"triangles")
@@ -193,44 +193,40 @@ MALFORMED: dict[str, Callable[[dict[str, Any]], object]] = {
 
 @pytest.mark.parametrize("how", MALFORMED)
 def test_a_signed_statement_of_another_form_is_refused(bundle: Path, signer: Signer, how: str):
-    path = provenance.beside(bundle)
-    statement = json.loads(base64.b64decode(json.loads(path.read_text())["payload"]))
+    statement = statement_beside(bundle)
     MALFORMED[how](statement)
-    path.write_text(signer.envelope(statement))
+    provenance.beside(bundle).write_text(signer.envelope(statement))
     with pytest.raises(LambentError, match=r"verify\.tampered"):
         provenance.verify(bundle, key=key_of(bundle))
 
 
-def change_statement(bundle: Path, change: Callable[[dict[str, Any]], None]) -> None:
-    """Change what the statement says, without a new signature."""
+def edit_envelope(bundle: Path, change: Callable[[dict[str, Any]], object]) -> None:
     path = provenance.beside(bundle)
     envelope = json.loads(path.read_text())
-    statement = json.loads(base64.b64decode(envelope["payload"]))
-    change(statement)
-    envelope["payload"] = base64.b64encode(json.dumps(statement).encode()).decode()
+    change(envelope)
     path.write_text(json.dumps(envelope))
+
+
+def change_statement(bundle: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change what the statement says, without a new signature."""
+    statement = statement_beside(bundle)
+    change(statement)
+    payload = base64.b64encode(json.dumps(statement).encode()).decode()
+    edit_envelope(bundle, lambda envelope: envelope.update(payload=payload))
 
 
 def sign_anew(bundle: Path) -> None:
     """Do what an attacker does who has a key, but not the server's."""
     (bundle / "mesh/asset.glb").write_bytes(b"another object")
-    path = provenance.beside(bundle)
-    statement = json.loads(base64.b64decode(json.loads(path.read_text())["payload"]))
+    statement = statement_beside(bundle)
     for each in statement["subject"]:
         if each["name"] == "mesh/asset.glb":
             each["digest"]["sha256"] = sha256(b"another object")
-    path.write_text(Signer(new_key()).envelope(statement))
+    provenance.beside(bundle).write_text(Signer(new_key()).envelope(statement))
 
 
 def claim_other(envelope: dict[str, Any]) -> None:
     envelope["signatures"][0]["keyid"] = "0" * 64
-
-
-def edit_envelope(bundle: Path, change: Callable[[dict[str, Any]], None]) -> None:
-    path = provenance.beside(bundle)
-    envelope = json.loads(path.read_text())
-    change(envelope)
-    path.write_text(json.dumps(envelope))
 
 
 def flip(path: Path) -> None:

@@ -27,6 +27,10 @@ def test_type_checkers_see_what_programs_get(package):
     own = package.__name__
     assert shown == {name: home if home.startswith("lambent") else f"{own}.{home}" for name, home in homes}
     assert set(package.__all__) - {"__version__"} == set(shown)
+    for name in shown:
+        assert getattr(package, name).__module__.startswith(("lambent.", "lambent_relight.", "lambent_core."))
+    with pytest.raises(AttributeError):
+        _ = package.nothing
 
 
 @pytest.mark.parametrize(

@@ -151,6 +151,13 @@ def test_upload_progress_ends_at_all_bytes(client, scene_folder):
 FILES = {"models/weights.bin": bytes(range(256)) * 40, "cameras.json": b"{}"}
 
 
+def write_half(folder, data):
+    """Leave what a fetch leaves that was cut off."""
+    half = folder / "out.partial" / "models" / "weights.bin"
+    half.parent.mkdir(parents=True)
+    half.write_bytes(data)
+
+
 def test_a_fetched_bundle_is_complete_and_nothing_partial_stays(server, client, tmp_path):
     server.add_bundle("bundle_1", FILES)
     fetched = client.fetch("bundle_1", tmp_path / "out")
@@ -173,9 +180,7 @@ def test_a_job_without_a_bundle_says_what_to_do(server, client, tmp_path):
 
 def test_a_broken_download_resumes_with_a_range(server, client, tmp_path):
     server.add_bundle("bundle_1", FILES)
-    half = tmp_path / "out.partial" / "models" / "weights.bin"
-    half.parent.mkdir(parents=True)
-    half.write_bytes(FILES["models/weights.bin"][:1000])
+    write_half(tmp_path, FILES["models/weights.bin"][:1000])
     client.fetch("bundle_1", tmp_path / "out")
     ranges = [headers["Range"] for headers in server.headers if "Range" in headers]
     assert ranges == ["bytes=1000-"]
@@ -188,18 +193,14 @@ def test_a_server_that_ignores_ranges_is_asked_once_more_at_most(server, client,
     server.faults.append(
         lambda request: httpx2.Response(200, content=whole) if "Range" in request.headers else None
     )
-    half = tmp_path / "out.partial" / "models" / "weights.bin"
-    half.parent.mkdir(parents=True)
-    half.write_bytes(whole[:1000])
+    write_half(tmp_path, whole[:1000])
     client.fetch("bundle_1", tmp_path / "out")
     assert sum("weights.bin" in line for line in server.requests) == 1
 
 
 def test_a_wrong_half_file_is_noticed_and_loaded_anew(server, client, tmp_path):
     server.add_bundle("bundle_1", FILES)
-    half = tmp_path / "out.partial" / "models" / "weights.bin"
-    half.parent.mkdir(parents=True)
-    half.write_bytes(b"x" * 1000)
+    write_half(tmp_path, b"x" * 1000)
     client.fetch("bundle_1", tmp_path / "out")
     assert (tmp_path / "out/models/weights.bin").read_bytes() == FILES["models/weights.bin"]
 

@@ -4,20 +4,7 @@ import httpx2
 import pytest
 from lambent import Client, LambentError, UnreachableError, UsageProblemError, WaitTimeoutError
 from lambent.waiting import SHORT_S
-from support.fake_server import FakeServer
-
-
-class Time:
-    """A clock that only sleeping moves."""
-
-    def __init__(self):
-        self.now = 0.0
-
-    def sleep(self, seconds):
-        self.now += seconds
-
-    def clock(self):
-        return self.now
+from support.fake_server import FakeServer, Time
 
 
 @pytest.fixture

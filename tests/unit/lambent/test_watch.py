@@ -5,20 +5,7 @@ import pytest
 from lambent import Client
 from lambent.errors import UnreachableError
 from lambent.models import Event, Job
-from support.fake_server import FakeServer, event, event_stream
-
-
-class Time:
-    """A clock that only sleeping moves."""
-
-    def __init__(self):
-        self.now = 0.0
-
-    def sleep(self, seconds):
-        self.now += seconds
-
-    def clock(self):
-        return self.now
+from support.fake_server import FakeServer, Time, event, event_stream
 
 
 @pytest.fixture

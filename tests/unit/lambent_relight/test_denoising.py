@@ -54,29 +54,25 @@ def test_a_flat_noisy_field_becomes_flat_and_keeps_its_mean():
     np.testing.assert_array_equal(smooth.standard_error, picture.standard_error)
 
 
-def test_edges_of_albedo_stay_sharp_below_the_noise():
-    albedo = halves(0.3, 0.5)
-    smooth = denoised(noisy(albedo, 0.5 * albedo, 0.05))
-    # Columns on both sides of the edge, whose difference of 0.1 is two errors of a pixel.
+TILTED = np.where(np.arange(SIDE)[None, :, None] < SIDE // 2, (0.0, 0.0, 1.0), (0.8, 0.0, 0.6))
+
+
+@pytest.mark.parametrize(
+    ("radiance", "noise", "materials"),
+    [
+        # Below the noise, the edge of a material says where to stop: 0.1 is two errors of a pixel.
+        ((0.15, 0.25), 0.05, {"albedo": halves(0.3, 0.5)}),
+        ((0.2, 0.3), 0.05, {"normal": np.broadcast_to(TILTED, (SIDE, SIDE, 3)).astype(np.float32)}),
+        # A shadow above the noise needs none.
+        ((0.1, 0.9), 0.02, {}),
+    ],
+    ids=["albedo", "normals", "shadow"],
+)
+def test_edges_stay_sharp(radiance, noise, materials):
+    picture = noisy(halves(0.5, 0.5), halves(*radiance), noise)
+    smooth = denoised(replace(picture, **materials))
     step = smooth.rgb[:, SIDE // 2].mean() - smooth.rgb[:, SIDE // 2 - 1].mean()
-    assert step == pytest.approx(0.1, abs=0.02)
-
-
-def test_edges_of_normals_stay_sharp():
-    flat = halves(0.5, 0.5)
-    picture = noisy(flat, halves(0.2, 0.3), 0.05)
-    normal = picture.normal.copy()
-    normal[:, SIDE // 2 :] = [0.8, 0.0, 0.6]
-    smooth = denoised(replace(picture, normal=normal))
-    step = smooth.rgb[:, SIDE // 2].mean() - smooth.rgb[:, SIDE // 2 - 1].mean()
-    assert step == pytest.approx(0.1, abs=0.02)
-
-
-def test_shadows_stay_sharp_above_the_noise():
-    flat = halves(0.5, 0.5)
-    smooth = denoised(noisy(flat, halves(0.1, 0.9), 0.02))
-    step = smooth.rgb[:, SIDE // 2].mean() - smooth.rgb[:, SIDE // 2 - 1].mean()
-    assert step == pytest.approx(0.8, abs=0.02)
+    assert step == pytest.approx(radiance[1] - radiance[0], abs=0.02)
 
 
 def test_passes_still_add_up_and_pictures_without_noise_stay():

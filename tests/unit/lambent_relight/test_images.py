@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -29,24 +30,18 @@ def picture(*, opaque: bool = False) -> RelitPicture:
         return rng.random((3, 5, channels)).astype(np.float32)
 
     opacity = np.ones((3, 5, 1), np.float32) if opaque else image(1)
+    colours = ("standard_error", "direct", "indirect", "diffuse", "specular", "albedo", "normal")
+    planes = ("visibility", "perceptual_roughness", "metalness", "depth")
+    rest = {name: image(3) for name in colours} | {name: image(1) for name in planes}
+    far = 2.0 * image(1)
     return RelitPicture(
-        rgb=2.0 * image(3),
-        opacity=opacity,
-        standard_error=image(3),
-        direct=image(3),
-        indirect=image(3),
-        diffuse=image(3),
-        specular=image(3),
-        visibility=image(1),
-        albedo=image(3),
-        normal=image(3),
-        perceptual_roughness=image(1),
-        metalness=image(1),
-        distance=2.0 * image(1),
-        depth=image(1),
-        coverage=opacity,
-        num_samples=8,
+        rgb=2.0 * image(3), opacity=opacity, distance=far, coverage=opacity, num_samples=8, **rest
     )
+
+
+def part_of(folder: Path) -> OpenEXR.Part:
+    """Return the one part of the file that a test has written."""
+    return OpenEXR.File(str(folder / "p.exr"), separate_channels=True).parts[0]
 
 
 def test_srgb_encoding_is_undone_by_decoding_and_hits_known_values():
@@ -74,7 +69,7 @@ def test_an_opaque_picture_becomes_a_png_without_alpha():
 def test_exr_is_linear_premultiplied_named_and_states_its_primaries(tmp_path):
     source = picture()
     write_picture_exr(tmp_path / "p.exr", source, half=False)
-    part = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0]
+    part = part_of(tmp_path)
     np.testing.assert_allclose(part.header["chromaticities"], REC709_CHROMATICITIES, atol=1e-6)
     channels = {name: channel.pixels for name, channel in part.channels.items()}
     np.testing.assert_array_equal(channels["G"], (source.rgb * source.opacity)[..., 1])
@@ -88,14 +83,14 @@ def test_exr_is_linear_premultiplied_named_and_states_its_primaries(tmp_path):
 
 def test_exr_without_passes_is_half_rgba(tmp_path):
     write_picture_exr(tmp_path / "p.exr", picture(), passes=False)
-    channels = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0].channels
+    channels = part_of(tmp_path).channels
     assert set(channels) == set("RGBA")
     assert channels["R"].pixels.dtype == np.float16
 
 
 def test_exr_holds_the_passes_that_are_named_and_no_others(tmp_path):
     write_picture_exr(tmp_path / "p.exr", picture(), passes=("normal", "depth", "indirect"))
-    channels = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0].channels
+    channels = part_of(tmp_path).channels
     layers = {f"normal.{letter}" for letter in "XYZ"} | {f"indirect.{letter}" for letter in "RGB"}
     assert set(channels) == {*"RGBAZ", "distance.V"} | layers
 
@@ -104,7 +99,7 @@ def test_the_mask_is_a_cryptomatte_of_the_named_object_whatever_the_background(t
     source = replace(picture(opaque=True), coverage=picture().opacity.copy())
     source.coverage[0, 0] = 0.0
     write_picture_exr(tmp_path / "p.exr", source, passes=["cryptomatte"], object_name="vase")
-    part = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0]
+    part = part_of(tmp_path)
     ident, share, *second = (part.channels[f"CryptoObject00.{letter}"].pixels for letter in "RGBA")
     assert {plane.dtype.type for plane in (ident, share, *second)} == {np.float32}
     np.testing.assert_array_equal(share, source.coverage[..., 0])
@@ -133,7 +128,7 @@ def test_depth_is_planar_far_where_nothing_is_and_never_rounded(tmp_path, half):
     source = picture()
     source.coverage[0, 0] = 0.0
     write_picture_exr(tmp_path / "p.exr", source, half=half)
-    channels = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0].channels
+    channels = part_of(tmp_path).channels
     colour = np.float16 if half else np.float32
     assert {channels[name].pixels.dtype.type for name in ("R", "albedo.G", "normal.Z")} == {colour}
     for name, expected in (("Z", source.depth), ("distance.V", source.distance)):
@@ -164,7 +159,7 @@ def test_colours_of_all_layers_are_multiplied_by_coverage_and_measurements_are_n
     """A compositing program divides what has R, G and B by alpha, and finds edges as soft as the beauty."""
     source = replace(picture(), coverage=picture().opacity * np.float32(0.5))
     write_picture_exr(tmp_path / "p.exr", source, half=False)
-    part = OpenEXR.File(str(tmp_path / "p.exr"), separate_channels=True).parts[0]
+    part = part_of(tmp_path)
     found = {name: channel.pixels for name, channel in part.channels.items()}
     for name in ("direct", "indirect", "diffuse", "specular", "albedo"):
         np.testing.assert_array_equal(found[f"{name}.G"], (getattr(source, name) * source.coverage)[..., 1])

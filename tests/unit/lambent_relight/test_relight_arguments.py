@@ -58,14 +58,6 @@ def view():
     return turntable(1, radius=4.0, width=12, height=10)[0]
 
 
-def test_the_public_names_are_all_there_and_those_of_the_package():
-    assert sorted(lambent_relight.__all__) == sorted(lambent_relight._HOMES)
-    for name in lambent_relight.__all__:
-        assert getattr(lambent_relight, name).__module__.startswith(("lambent_relight.", "lambent_core."))
-    with pytest.raises(AttributeError):
-        _ = lambent_relight.nothing
-
-
 @pytest.mark.parametrize(
     ("call", "kind"),
     [

@@ -55,27 +55,20 @@ def test_reflection_is_reciprocal_once_the_cosine_is_taken_out():
         np.testing.assert_allclose(forward / cosine_b, backward / cosine_a, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize(("alpha", "expected"), [(0.05, 0.984), (0.3, 0.801), (1.0, 0.340)])
-def test_white_furnace_of_a_white_metal(alpha, expected):
+@pytest.mark.parametrize(
+    ("metalness", "alpha", "diffuse", "specular"),
+    [(1, 0.05, 0.0, 0.984), (1, 0.3, 0.0, 0.801), (1, 1.0, 0.0, 0.340), (0, 0.3, 1.0, 0.033)],
+)
+def test_white_furnace_of_a_metal_and_of_a_dielectric(metalness, alpha, diffuse, specular):
     directions, measure = sphere_grid()
     shape = directions.shape
-    white = brdf.Materials(np.ones(shape), np.full_like(measure, alpha), np.ones_like(measure))
-    diffuse, specular = brdf.brdf_cos(
+    white = brdf.Materials(np.ones(shape), np.full_like(measure, alpha), np.full_like(measure, metalness))
+    lobes = brdf.brdf_cos(
         np.broadcast_to(view(0.8), shape), directions, np.broadcast_to(NORMAL, shape), white
     )
-    assert (diffuse == 0.0).all()
-    assert (specular * measure).sum(axis=0)[0] == pytest.approx(expected, abs=1.5e-3)
-
-
-def test_white_furnace_of_a_dielectric_is_one_plus_a_little():
-    directions, measure = sphere_grid()
-    shape = directions.shape
-    white = brdf.Materials(np.ones(shape), np.full_like(measure, 0.3), np.zeros_like(measure))
-    diffuse, specular = brdf.brdf_cos(
-        np.broadcast_to(view(0.8), shape), directions, np.broadcast_to(NORMAL, shape), white
-    )
-    assert (diffuse * measure).sum(axis=0)[0] == pytest.approx(1.0, abs=1e-4)
-    assert (specular * measure).sum(axis=0)[0] == pytest.approx(0.033, abs=1e-3)
+    reflected = [(lobe * measure).sum(axis=0)[0] for lobe in lobes]
+    assert reflected[0] == pytest.approx(diffuse, abs=1e-4 * diffuse)
+    assert reflected[1] == pytest.approx(specular, abs=1e-3)
 
 
 def test_light_from_below_the_surface_is_not_reflected():

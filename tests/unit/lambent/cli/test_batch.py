@@ -13,7 +13,7 @@ from lambent_relight.batch.plan import make_plan
 from lambent_relight.batch.reading import read_manifest
 from lambent_relight.object_cameras import around_object
 from PIL import Image
-from support.small_batch import HEAD, SMALL, batch, pixels, rgb_of, states, table, write_inputs
+from support.small_batch import HEAD, ONE_PICTURE, SMALL, batch, pixels, rgb_of, states, table, write_inputs
 
 
 @pytest.fixture
@@ -146,11 +146,7 @@ def test_maps_that_swap_their_names_swap_their_pictures(folder):
     place = folder / "out/ball"
     before = {name: (place / name / "refined/turntable_000.png").read_bytes() for name in "ab"}
     assert (
-        batch(
-            folder,
-            text.replace("name: a", "name: x").replace("name: b", "name: a").replace("name: x", "name: b"),
-        )
-        == 0
+        batch(folder, SMALL.replace("[sky.exr]", "[{name: b, map: sky.exr}, {name: a, map: lamp.exr}]")) == 0
     )
     assert (place / "b/refined/turntable_000.png").read_bytes() == before["a"]
     assert (place / "a/refined/turntable_000.png").read_bytes() == before["b"]
@@ -174,7 +170,6 @@ def test_rows_that_fail_are_listed_and_stop_no_others(folder, capsys):
     assert "(m.yaml:6)" in err, "the line of gone.exr"
     lines = table(folder)
     assert lines["ball/bad/refined/turntable_000"]["code"].startswith("environment.")
-    assert "failed" in err.splitlines()[-1] or any("failed" in line for line in err.splitlines())
 
 
 def test_a_dry_run_lists_the_work_and_renders_nothing(folder, capsys):
@@ -223,8 +218,7 @@ def test_a_dry_run_writes_nothing(folder, capsys):
 
 def test_a_bundle_and_a_map_are_read_once_for_a_plan_however_often_they_are_used(folder, monkeypatch):
     opened, hashed = [], []
-    document = {
-        "schema": "lambent-batch/1",
+    document = ONE_PICTURE | {
         "assets": ["ball", {"name": "red", "bundle": "ball", "material": {"albedo": [0.9, 0, 0]}}],
         "environments": [{"map": "sky.exr", "rotate_deg": [0, 90, 180]}],
         "cameras": [{"turntable": 2, "size": 8}],
@@ -274,14 +268,8 @@ def test_two_processes_make_the_same_pictures_as_one(folder):
 
 def test_more_pictures_than_can_be_meant_are_refused(folder, monkeypatch):
     monkeypatch.setattr("lambent_relight.batch.plan.MAX_PICTURES", 3)
-    document = {
-        "schema": "lambent-batch/1",
-        "assets": ["ball"],
-        "environments": ["sky.exr"],
-        "cameras": [{"turntable": 4}],
-    }
     with pytest.raises(SettingError, match=r"batch\.too_many"):
-        make_plan(read_manifest(document, folder))
+        make_plan(read_manifest(ONE_PICTURE | {"cameras": [{"turntable": 4}]}, folder))
 
 
 def test_lights_that_swap_names_keep_no_file_of_each_other(folder):
@@ -295,10 +283,7 @@ def test_lights_that_swap_names_keep_no_file_of_each_other(folder):
             f"settings: {{spp: 2, antialias: 1, exposure_ev: {exposure_ev}}}\n"
         )
         assert batch(folder, text) == 0
-        shown = sorted((folder / "out" / "ball").rglob("*.exr")) + sorted(
-            (folder / "out" / "ball").rglob("*.png")
-        )
-        return {str(path): rgb_of(path) for path in shown}
+        return {str(path): rgb_of(path) for path in (folder / "out/ball").rglob("*.*")}
 
     made("sky.exr", "lamp.exr", 0.0)
     swapped = made("lamp.exr", "sky.exr", 1.0)

@@ -10,7 +10,9 @@ import pytest
 from lambent_relight import load_environment
 from lambent_relight.batch.journal import open_journal
 from lambent_relight.batch.plan import make_plan
+from lambent_relight.batch.pool import attempt
 from lambent_relight.batch.reading import read_manifest
+from lambent_relight.batch.studio import Studio
 from support.small_batch import ONE_PICTURE, SMALL, batch, states, table, write_inputs
 
 
@@ -46,27 +48,15 @@ def test_half_files_of_a_killed_batch_are_removed(folder):
     assert not list((folder / "out").rglob(".partial*"))
 
 
-def test_a_bundle_that_changes_under_a_running_batch_fails_its_pictures(folder):
-    from lambent_relight.batch.pool import attempt
-    from lambent_relight.batch.studio import Studio
-
+@pytest.mark.parametrize(
+    ("name", "code"), [("ball/manifest.json", "bundle.changed"), ("sky.exr", "environment.changed")]
+)
+def test_what_changes_under_a_running_batch_fails_its_pictures(folder, name, code):
     manifest = read_manifest(ONE_PICTURE, folder)
     plan = make_plan(manifest)
-    path = folder / "ball" / "manifest.json"
-    path.write_text(path.read_text() + " ")
-    found = attempt(Studio(folder / "out", manifest.files), plan.rows[0], ("png",))
-    assert found.code == "bundle.changed"
-
-
-def test_a_map_that_changes_under_a_running_batch_fails_its_pictures(folder):
-    from lambent_relight.batch.pool import attempt
-    from lambent_relight.batch.studio import Studio
-
-    manifest = read_manifest(ONE_PICTURE, folder)
-    plan = make_plan(manifest)
-    (folder / "sky.exr").write_bytes((folder / "lamp.exr").read_bytes())
-    found = attempt(Studio(folder / "out", manifest.files), plan.rows[0], ("png",))
-    assert found.code == "environment.changed"
+    with (folder / name).open("ab") as file:
+        file.write(b" ")
+    assert attempt(Studio(folder / "out", manifest.files), plan.rows[0], ("png",)).code == code
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """The key of a picture: every input is in its key, and bytes are looked at, not sizes."""
 
+import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -7,10 +8,11 @@ import pytest
 from lambent_core.pictures import RenderMaterial, RenderQuality
 from lambent_relight.aovs import PASSES
 from lambent_relight.batch import plan as planning
-from lambent_relight.batch.journal import MadeFile, Record, open_journal
+from lambent_relight.batch.journal import MadeFile, open_journal
 from lambent_relight.batch.manifest import Asset, Files, Light
 from lambent_relight.batch.plan import Row, renderer_digest
 from lambent_relight.cameras import turntable
+from support.small_batch import record
 
 ROW = Row(
     path="a/b",
@@ -95,32 +97,10 @@ def test_another_renderer_makes_other_pictures(monkeypatch):
     assert ROW.key("png", Files()) != before
 
 
-def made(path, key, sha256, size_bytes=4):
-    return MadeFile(path=path, key=key, sha256=sha256, size_bytes=size_bytes)
-
-
-def record(path, files):
-    return Record(
-        path=path,
-        asset="a",
-        environment="b",
-        quality="c",
-        camera="d",
-        files=files,
-        width=1,
-        height=1,
-        seconds=0.5,
-        num_samples=2,
-        mean_standard_error=0.0,
-        relative_standard_error=0.0,
-    )
-
-
 def test_a_file_of_the_same_size_with_other_bytes_is_not_known(tmp_path):
-    import hashlib
-
     (tmp_path / "a.png").write_bytes(b"abcd")
-    one = made("a.png", "key", hashlib.sha256(b"abcd").hexdigest())
+    digest = hashlib.sha256(b"abcd").hexdigest()
+    one = MadeFile(path="a.png", key="key", sha256=digest, size_bytes=4)
     with open_journal(tmp_path) as journal:
         journal.add(record("a", {"png": one}))
         assert journal.known("png", "a", "key") == one

@@ -19,6 +19,12 @@ SMALL = {
 }
 
 
+def load(tmp_path, text):
+    path = tmp_path / "m.yaml"
+    path.write_text(text, encoding="utf-8")
+    return load_document(path)
+
+
 def problems(**changes):
     """Return {pointer: message} of a manifest with these members changed; None removes one."""
     document = {name: value for name, value in {**SMALL, **changes}.items() if value is not None}
@@ -37,56 +43,33 @@ def test_short_forms_take_their_names_from_the_files():
     assert tuple(found.files.passes) == PASSES
 
 
-def test_every_field_arrives():
-    found = read_manifest(
-        {
-            "schema": "lambent-batch/1",
-            "name": "spring",
-            "assets": [
-                {
-                    "name": "red",
-                    "bundle_id": "bundle_1",
-                    "material": {"albedo_gain": [1, 2, 3], "albedo": [0.5, 0, 0], "roughness_scale": 0.5},
-                    "object_rotate_deg": 30,
-                }
-            ],
-            "environments": [
-                {
-                    "name": "dusk",
-                    "map": "d.hdr",
-                    "axes": "mitsuba",
-                    "sun_clamp": 50,
-                    "mend": True,
-                    "rotate_deg": 90,
-                }
-            ],
-            "cameras": [
-                {
-                    "name": "low",
-                    "turntable": 3,
-                    "size": 64,
-                    "elevation_deg": 5,
-                    "radius": 2,
-                    "field_of_view_deg": 50,
-                    "start_deg": 10,
-                },
-                {"file": "c.json", "views": ["front"]},
-                "all",
-            ],
-            "settings": {"seed": 7, "antialias": 1, "background": "white"},
-            "qualities": [
-                "preview",
-                {"name": "final", "quality": "refined", "spp": 8, "until_stderr": 0.01, "indirect": False},
-            ],
-            "output": {
-                "files": ["exr"],
-                "passes": ["normal"],
-                "half": False,
-                "path": "{environment}/{quality}_{camera}",
-            },
-        },
-        BASE,
-    )
+EVERY_FIELD = """
+schema: lambent-batch/1
+name: spring
+assets:
+  - name: red
+    bundle_id: bundle_1
+    material: {albedo_gain: [1, 2, 3], albedo: [0.5, 0, 0], roughness_scale: 0.5}
+    object_rotate_deg: 30
+environments: [{name: dusk, map: d.hdr, axes: mitsuba, sun_clamp: 50, mend: true, rotate_deg: 90}]
+cameras:
+  - name: low
+    turntable: 3
+    size: 64
+    radius: 2
+    elevation_deg: 5
+    field_of_view_deg: 50
+    start_deg: 10
+  - {file: c.json, views: [front]}
+  - all
+settings: {seed: 7, antialias: 1, background: white}
+qualities: [preview, {name: final, quality: refined, spp: 8, until_stderr: 0.01, indirect: false}]
+output: {files: [exr], passes: [normal], half: false, path: "{environment}/{quality}_{camera}"}
+"""
+
+
+def test_every_field_arrives(tmp_path):
+    found = read_manifest(load(tmp_path, EVERY_FIELD).value, BASE)
     (asset,), (light,) = found.assets, found.environments
     assert asset.bundle_id == "bundle_1"
     assert asset.bundle is None
@@ -185,12 +168,6 @@ def test_names_of_cameras_become_names_of_files():
     assert safe_name("train/r 000.png") == "train_r_000.png"
     assert "/" not in safe_name("../../etc")
     assert safe_name("…") == "_"
-
-
-def load(tmp_path, text):
-    path = tmp_path / "m.yaml"
-    path.write_text(text, encoding="utf-8")
-    return load_document(path)
 
 
 def test_a_document_knows_the_line_of_every_place(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from lambent_core.colour import srgb_from_linear
 from lambent_core.exr import write_exr
-from lambent_relight.batch.journal import MadeFile, Record
+from lambent_relight.batch.journal import MadeFile
 from lambent_relight.batch.plan import Failure
 from lambent_relight.batch.reading import read_manifest
 from lambent_relight.batch.run import Result
@@ -15,6 +15,7 @@ from lambent_relight.batch.summary import COLUMNS, MARGIN, TILE, thumbnail, writ
 from lambent_relight.environment.maps import write_environment
 from lambent_relight.environment.probes import GREY
 from PIL import Image
+from support.small_batch import record
 
 RED = (220, 30, 20)
 
@@ -29,21 +30,7 @@ def result(folder, path, suffix="png", size=(8, 6)):
         planes = {"R": 0.5, "G": 0.0, "B": 0.0, "A": 1.0}
         write_exr(target, {name: np.full(size[::-1], value, np.float32) for name, value in planes.items()})
     made = MadeFile(path=f"{path}.{suffix}", key="k", sha256="s", size_bytes=1)
-    record = Record(
-        path=path,
-        asset="a",
-        environment="e",
-        quality="q",
-        camera="c",
-        files={suffix: made},
-        width=size[0],
-        height=size[1],
-        seconds=1.25,
-        num_samples=8,
-        mean_standard_error=0.01,
-        relative_standard_error=0.05,
-    )
-    return Result(path=path, state="made", record=record)
+    return Result(path=path, state="made", record=record(path, {suffix: made}, size))
 
 
 FAILED = Result(path="a/z", state="failed", failure=Failure(path="a/z", code="x.y", message="why, indeed"))

@@ -285,43 +285,38 @@ def test_the_parts_of_a_file_are_judged_together_before_any_is_decoded(tmp_path)
     tracemalloc.stop()
 
 
-def _exr_of_unknown_channels(path):
-    write_exr(path, {"X": np.ones((2, 4)), "Y": np.ones((2, 4))})
+def spoilt(change):
+    """Return what writes a small file of colours, changed byte by byte."""
+
+    def write(path):
+        write_exr(path, {name: np.ones((2, 4)) for name in "RGB"})
+        path.write_bytes(change(path.read_bytes()))
+
+    return write
 
 
-def _exr_cut(path):
-    write_exr(path, {name: random_map(64, 128)[..., 0] for name in "RGB"})
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+def holding(data):
+    return lambda path: path.write_bytes(data)
 
 
-def _exr_huge(path):
-    """A small file whose header states 100 000 x 100 000 pixels."""
-    write_exr(path, {name: np.ones((2, 4)) for name in "RGB"})
-    small, huge = struct.pack("<4i", 0, 0, 3, 1), struct.pack("<4i", 0, 0, 99_999, 99_999)
-    data = path.read_bytes()
-    assert data.count(small) == 2
-    path.write_bytes(data.replace(small, huge))
+WINDOW = struct.pack("<4i", 0, 0, 3, 1)
+HUGE, WIDER = struct.pack("<4i", 0, 0, 99_999, 99_999), struct.pack("<4i", 0, 0, 7, 3)
 
 
-def _exr_cropped(path):
-    write_exr(path, {name: np.ones((2, 4)) for name in "RGB"})
-    data = path.read_bytes()
-    window = struct.pack("<4i", 0, 0, 3, 1)
+def show_more_than_is_stored(data):
     start = data.index(b"displayWindow")
-    path.write_bytes(data[:start] + data[start:].replace(window, struct.pack("<4i", 0, 0, 7, 3), 1))
+    return data[:start] + data[start:].replace(WINDOW, WIDER, 1)
 
 
-def _exr_of_impossible_primaries(path):
-    write_exr(path, {name: np.ones((2, 4)) for name in "RGB"})
-    data = path.read_bytes()
-    path.write_bytes(data.replace(struct.pack("<2f", 0.64, 0.33), struct.pack("<2f", 0.30, 0.60)))
+def make_red_green(data):
+    return data.replace(struct.pack("<2f", 0.64, 0.33), struct.pack("<2f", 0.30, 0.60))
 
 
-def _exr_integers(path):
+def write_integers(path):
     OpenEXR.File({}, {name: np.ones((2, 4), np.uint32) for name in "RGB"}).write(str(path))
 
 
-def _exr_deep(path):
+def write_deep(path):
     samples = np.empty((2, 4), dtype=object)
     for place in np.ndindex(2, 4):
         samples[place] = np.ones(2, np.float32)
@@ -329,42 +324,32 @@ def _exr_deep(path):
     OpenEXR.File(header, {name: samples.copy() for name in "RGB"}).write(str(path))
 
 
-HOSTILE = {
-    "environment.exr_deep": ("a.exr", _exr_deep),
-    "environment.exr_channels": ("a.exr", _exr_of_unknown_channels),
-    "environment.exr_damaged": ("a.exr", lambda p: p.write_bytes(b"v/1\x01" + bytes(64))),
-    "environment.exr_damaged ": ("a.exr", _exr_cut),
-    "environment.too_large": ("a.exr", _exr_huge),
-    "environment.exr_cropped": ("a.exr", _exr_cropped),
-    "environment.exr_primaries": ("a.exr", _exr_of_impossible_primaries),
-    "environment.exr_channels ": ("a.exr", _exr_integers),
-    "environment.hdr_damaged": ("a.hdr", lambda p: p.write_bytes(b"GIF89a")),
-    "environment.hdr_damaged ": ("a.hdr", lambda p: p.write_bytes(b"#?RGBE\n\n-Y 4 +X 8\n" + bytes(20))),
-    "environment.hdr_damaged  ": (
-        "a.hdr",
-        lambda p: p.write_bytes(hdr_bytes(rgbe_rows(random_map(4, 64)))[:-40]),
-    ),
-    "environment.hdr_damaged   ": (
-        "a.hdr",
-        lambda p: p.write_bytes(b"#?RGBE\n\n-Y 4 +X 8\n" + b"\1\1\1\7" * 9),
-    ),
-    "environment.hdr_format": (
-        "a.hdr",
-        lambda p: p.write_bytes(b"#?RGBE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\n"),
-    ),
-    "environment.too_large ": ("a.hdr", lambda p: p.write_bytes(b"#?RGBE\n\n-Y 999999 +X 999999\n\2\2\1\1")),
-    "environment.unknown_format": ("a.png", lambda p: p.write_bytes(b"")),
-    "environment.no_values": ("a.exr", lambda p: write_environment(p, np.full((2, 4, 3), np.nan))),
-}
-
-
-@pytest.mark.parametrize("code", HOSTILE)
-def test_a_map_that_cannot_be_used_is_refused_with_a_reason_and_advice(tmp_path, code):
-    name, make = HOSTILE[code]
-    make(tmp_path / name)
+@pytest.mark.parametrize(
+    ("code", "name", "write"),
+    [
+        ("exr_deep", "a.exr", write_deep),
+        ("exr_channels", "a.exr", lambda path: write_exr(path, dict.fromkeys("XY", np.ones((2, 4))))),
+        ("exr_channels", "a.exr", write_integers),
+        ("exr_damaged", "a.exr", holding(b"v/1\x01" + bytes(64))),
+        ("exr_damaged", "a.exr", spoilt(lambda data: data[: len(data) // 2])),
+        ("too_large", "a.exr", spoilt(lambda data: data.replace(WINDOW, HUGE))),
+        ("exr_cropped", "a.exr", spoilt(show_more_than_is_stored)),
+        ("exr_primaries", "a.exr", spoilt(make_red_green)),
+        ("hdr_damaged", "a.hdr", holding(b"GIF89a")),
+        ("hdr_damaged", "a.hdr", holding(b"#?RGBE\n\n-Y 4 +X 8\n" + bytes(20))),
+        ("hdr_damaged", "a.hdr", holding(hdr_bytes(rgbe_rows(random_map(4, 64)))[:-40])),
+        ("hdr_damaged", "a.hdr", holding(b"#?RGBE\n\n-Y 4 +X 8\n" + b"\1\1\1\7" * 9)),
+        ("hdr_format", "a.hdr", holding(b"#?RGBE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\n")),
+        ("too_large", "a.hdr", holding(b"#?RGBE\n\n-Y 999999 +X 999999\n\2\2\1\1")),
+        ("unknown_format", "a.png", holding(b"")),
+        ("no_values", "a.exr", lambda path: write_environment(path, np.full((2, 4, 3), np.nan))),
+    ],
+)
+def test_a_map_that_cannot_be_used_is_refused_with_a_reason_and_advice(tmp_path, code, name, write):
+    write(tmp_path / name)
     with pytest.raises(EnvironmentFileError) as caught:
         load_environment(tmp_path / name)
-    assert caught.value.code == code.strip()
+    assert caught.value.code == f"environment.{code}"
     assert name in str(caught.value)
     assert caught.value.advice
 
