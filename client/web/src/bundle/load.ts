@@ -1,9 +1,9 @@
 /** Reads and checks the parts of a bundle that a viewer needs. */
 
-import type { Atlas, BundleManifest } from "../contract/lambent_proto/v1/bundle_pb.js";
+import type { Atlas, BundleManifest, Transport } from "../contract/lambent_proto/v1/bundle_pb.js";
 import { type PhotoCamera, parseCameras } from "./cameras.js";
 import { BundleFault, exportAgain } from "../page/fault.js";
-import { openBundle } from "./manifest.js";
+import { type OpenBundle, openBundle } from "./manifest.js";
 import { type AtlasMesh, boundsOf, meshFromGlb, texturesFromGlb } from "./mesh.js";
 import { type BundleOrigin, openSource } from "./source.js";
 import { type FinerTables, finerTables, type PackedTransport, readTransport } from "./transport.js";
@@ -76,55 +76,25 @@ export async function loadBundle(
   decode: Decode,
   later: ((finer: () => Promise<FinerTables>) => void) | null = null,
 ): Promise<LoadedBundle> {
-  const { manifest, read, begin } = await openBundle(await openSource(origin));
+  const bundle = await openBundle(await openSource(origin));
+  const { manifest } = bundle;
   const stated = manifest.transport;
   if (stated === undefined) {
     throw new BundleFault("bundle.transport_missing", bundleFaults.noTransport);
   }
   // A manifest with transport has been checked for it.
   const atlas = manifest.atlas!;
-  const paths = new Set(manifest.files.map((file) => file.path));
-  const sizes = new Map(manifest.files.map((file) => [file.path, file.sizeBytes]));
-  const lights = manifest.trainLights.filter((light) => paths.has(`env/trained_${light}.exr`));
-  const cameraPath = manifest.files.find((file) => file.role === "cameras")?.path;
-  const pictures = manifest.files.filter((file) => file.path.startsWith("preview/")).map((file) => file.path);
-  const wanted = [
-    "mesh/asset.glb",
-    stated.texelsPath,
-    ...stated.planes.filter(({ name }) => name !== "material").map((planes) => planes.path),
-    manifest.uncertainty?.path ?? "",
-    atlas.unseenPath,
-    cameraPath ?? "",
-    ...lights.map((light) => `env/trained_${light}.exr`),
-    ...pictures,
-  ].filter((path) => path !== "");
-  const total = wanted.reduce((sum, path) => sum + (sizes.get(path) ?? 0), 0);
-  let arrived = 0;
-  const arrive = (bytes: number): void => {
-    arrived += bytes;
-    tell({ kind: "progress", readBytes: arrived, totalBytes: total });
-  };
-  const wholeFiles: Promise<unknown>[] = [];
-  const wholes = new Map<string, () => Promise<Uint8Array<ArrayBuffer>>>();
-  const counted = async (path: string, bytes = Infinity): Promise<Uint8Array<ArrayBuffer>> => {
-    const reading =
-      later === null || bytes === Infinity
-        ? read(path).then((all) => ({ data: all, whole: null }))
-        : begin(path, bytes, () => Promise.allSettled(wholeFiles));
-    if (bytes === Infinity) wholeFiles.push(reading);
-    const { data, whole } = await reading;
-    if (whole !== null) wholes.set(path, whole);
-    // What comes later is not waited for.
-    arrive(whole === null ? data.length : (sizes.get(path) ?? 0));
-    return data;
-  };
+  const shown = shownFiles(manifest, stated);
+  const { lights, cameraPath, pictures, totalBytes } = shown;
+  const bands = stated.planes.find(({ name }) => name === "direct")?.bands ?? 0;
+  tell({ kind: "opened", name: manifest.name, totalBytes, bands, lights });
+  const files = new CountedFiles(bundle, shown, later !== null, tell);
+  const counted = (path: string, bytes?: number) => files.read(path, bytes);
   const trainedMap = async (name: string): Promise<BundlePicture> => {
     const map = { name, data: await counted(`env/trained_${name}.exr`) };
     tell({ kind: "map", map });
     return map;
   };
-  const bands = stated.planes.find(({ name }) => name === "direct")?.bands ?? 0;
-  tell({ kind: "opened", name: manifest.name, totalBytes: total, bands, lights });
   const uncertainty = manifest.uncertainty;
   // The maps first: preparing light takes longest.
   const [trainedMaps, [mesh, maps], transport, grid, cameras, unseen, previews] = await Promise.all([
@@ -142,8 +112,7 @@ export async function loadBundle(
       pictures.map(async (path) => ({ name: path.slice("preview/".length), data: await counted(path) })),
     ),
   ]);
-  const all = (path: string): Promise<Uint8Array<ArrayBuffer>> => wholes.get(path)?.() ?? read(path);
-  if (wholes.size > 0) later?.(() => finerTables(stated, all));
+  if (files.isPartial) later?.(() => finerTables(stated, (path) => files.whole(path)));
   const { name, sceneId, preset, albedoScaleRgb, metrics, trainLights } = manifest;
   return {
     name,
@@ -163,6 +132,67 @@ export async function loadBundle(
     trainedMaps,
     previews,
   };
+}
+
+/** Return what a viewer reads of a bundle: paths by what they are for, and how many bytes that is. */
+function shownFiles({ files, trainLights, uncertainty, atlas }: BundleManifest, transport: Transport) {
+  const sizes = new Map(files.map((file) => [file.path, file.sizeBytes]));
+  const lights = trainLights.filter((light) => sizes.has(`env/trained_${light}.exr`));
+  const cameraPath = files.find((file) => file.role === "cameras")?.path;
+  const pictures = files.filter((file) => file.path.startsWith("preview/")).map((file) => file.path);
+  const wanted = [
+    "mesh/asset.glb",
+    transport.texelsPath,
+    ...transport.planes.filter(({ name }) => name !== "material").map((planes) => planes.path),
+    uncertainty?.path ?? "",
+    atlas!.unseenPath,
+    cameraPath ?? "",
+    ...lights.map((light) => `env/trained_${light}.exr`),
+    ...pictures,
+  ];
+  const totalBytes = wanted.reduce((sum, path) => sum + (sizes.get(path) ?? 0), 0);
+  return { sizes, lights, cameraPath, pictures, totalBytes };
+}
+
+/** Files of a bundle, which tell of their bytes as they arrive. */
+class CountedFiles {
+  readonly #reading: Promise<unknown>[] = [];
+  readonly #wholes = new Map<string, () => Promise<Uint8Array<ArrayBuffer>>>();
+  #arrived = 0;
+
+  constructor(
+    private readonly bundle: OpenBundle,
+    private readonly shown: ReturnType<typeof shownFiles>,
+    /** Whether beginnings of files will do at first. */
+    private readonly inParts: boolean,
+    private readonly tell: (news: BundleNews) => void,
+  ) {}
+
+  /** Whether only the beginning of a file is there. */
+  get isPartial(): boolean {
+    return this.#wholes.size > 0;
+  }
+
+  /** Return a file, or its first `bytes` bytes; large beginnings come after the files that are read whole. */
+  async read(path: string, bytes = Infinity): Promise<Uint8Array<ArrayBuffer>> {
+    const { sizes, totalBytes } = this.shown;
+    const reading =
+      !this.inParts || bytes === Infinity
+        ? this.bundle.read(path).then((all) => ({ data: all, whole: null }))
+        : this.bundle.begin(path, bytes, () => Promise.allSettled(this.#reading));
+    if (bytes === Infinity) this.#reading.push(reading);
+    const { data, whole } = await reading;
+    if (whole !== null) this.#wholes.set(path, whole);
+    // What comes later is not waited for.
+    this.#arrived += whole === null ? data.length : (sizes.get(path) ?? 0);
+    this.tell({ kind: "progress", readBytes: this.#arrived, totalBytes });
+    return data;
+  }
+
+  /** Return all of a file. */
+  whole(path: string): Promise<Uint8Array<ArrayBuffer>> {
+    return this.#wholes.get(path)?.() ?? this.bundle.read(path);
+  }
 }
 
 async function maskOf(png: Uint8Array<ArrayBuffer>, decode: Decode): Promise<ImageBitmap> {

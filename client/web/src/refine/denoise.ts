@@ -73,7 +73,7 @@ export async function denoised(
             apart += difference * difference;
           }
           if (apart > furthest) continue;
-          apart += patchDistance(rgb, variance, coverage, width, height, row, column, i, j);
+          apart += patchDistance(picture, rgb, variance, row, column, i, j);
           const weight = Math.exp(-apart) * coverage[other]!;
           total += weight;
           for (let channel = 0; channel < 3; channel++) {
@@ -95,11 +95,9 @@ export async function denoised(
 
 /** Return the squared difference of two patches in units of what their noise explains, 0 if it is less. */
 function patchDistance(
+  { width, height, coverage }: Pick<RefinedPicture, "width" | "height" | "coverage">,
   rgb: Float32Array,
   variance: Float32Array,
-  covered: Float32Array,
-  width: number,
-  height: number,
   row: number,
   column: number,
   otherRow: number,
@@ -113,7 +111,7 @@ function patchDistance(
       const [b, d] = [column + j, otherColumn + j];
       if (b < 0 || d < 0 || b >= width || d >= width) continue;
       const [one, two] = [a * width + b, c * width + d];
-      if (covered[one]! <= 0 || covered[two]! <= 0) continue;
+      if (coverage[one]! <= 0 || coverage[two]! <= 0) continue;
       for (let k = 0; k < 3; k++) {
         const value = rgb[3 * one + k]!;
         const apart = value - rgb[3 * two + k]!;

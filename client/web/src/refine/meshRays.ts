@@ -10,12 +10,11 @@ import { tracingStack } from "../contract/constants.js";
 import type { AtlasMesh } from "../bundle/mesh.js";
 import { buildHierarchy, type Hierarchy } from "./hierarchy.js";
 
-/** Nodes that wait at once: one per level, and none is as deep. */
-
 /** Finds what rays meet on a mesh. */
 export class MeshRays {
   readonly oneSided: boolean;
   readonly #tree: Hierarchy;
+  /** Nodes that wait: one per level, and no hierarchy is as deep. */
   readonly #stack = new Int32Array(tracingStack);
   /** Of the last ray: the face that it met, -1 for none, and the weights there of its second and third corner. */
   face = -1;

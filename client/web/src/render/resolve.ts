@@ -10,6 +10,20 @@ import cameraRays from "./shaders/camera.glsl?raw";
 import environment from "./shaders/environment.glsl?raw";
 import fragment from "./shaders/resolve.frag.glsl?raw";
 
+/** What a picture is made of. */
+type Resolved = {
+  readonly picture: Texture;
+  readonly camera: ViewCamera;
+  readonly look: Look;
+  readonly light: StageLight;
+  readonly turn: LightTurn;
+  readonly target: keyof typeof outputs;
+  readonly ground: GroundPlace | null;
+  readonly dither: boolean;
+  /** Where it begins on the canvas. */
+  readonly origin: readonly [number, number];
+};
+
 /** The last pass. */
 export class Resolve {
   readonly material = screenProgram([
@@ -20,18 +34,7 @@ export class Resolve {
   ]);
 
   /** Set what a picture needs. */
-  prepare(
-    picture: Texture,
-    camera: ViewCamera,
-    look: Look,
-    light: StageLight,
-    turn: LightTurn,
-    target: keyof typeof outputs,
-    ground: GroundPlace | null,
-    dither: boolean,
-    /** Where the picture begins on the canvas. */
-    origin: readonly [number, number],
-  ): void {
+  prepare({ picture, camera, look, light, turn, target, ground, dither, origin }: Resolved): void {
     setUniforms(this.material, {
       ...lightUniforms(light, turn),
       toneMappingExposure: 2 ** look.exposureEv,

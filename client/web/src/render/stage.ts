@@ -302,17 +302,11 @@ export class Stage {
       finer!.draw(this.#screen, camera, side.look, this.#baked(samples, target === null), this.#finer);
     }
     const ground = this.#ground(side, light, samples > 1 || target !== null, scenery);
-    this.#resolve.prepare(
-      (isFiner ? this.#finer! : this.#radiance).texture,
-      camera,
-      side.look,
-      light,
-      turn,
-      output,
-      ground,
-      this.dither,
-      origin,
-    );
+    const picture = (isFiner ? this.#finer! : this.#radiance).texture;
+    this.#resolve.prepare({
+      ...{ picture, camera, look: side.look, light, turn, target: output, ground, origin },
+      dither: this.dither,
+    });
     this.#scissor(target, columns, height, origin);
     if (target === null) this.renderer.setViewport(...origin, width, height);
     this.#screen.draw(this.#resolve.material, target);
