@@ -17,7 +17,6 @@ export type Runtime = Pick<typeof runtimes, "env" | "InferenceSession" | "Tensor
 /** Rows of numbers, [row, width] after each other. */
 export type RowsOf = Readonly<Record<string, Float32Array>>;
 
-/** Options for opening a graph. */
 export type GraphOptions = {
   readonly provider: Provider;
   /** Of the same provider. */
@@ -28,7 +27,6 @@ export type GraphOptions = {
   readonly wasmFolder?: string;
 };
 
-/** An open graph. */
 export class OnnxGraph {
   constructor(
     private readonly session: InferenceSession,

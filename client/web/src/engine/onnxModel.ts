@@ -67,7 +67,6 @@ export function withoutHalves(data: Uint8Array, weights: Uint8Array): WeightFile
   return { model: toBinary(OnnxModelSchema, model), weights: joined(parts) };
 }
 
-/** Return byte arrays after each other. */
 function joined(parts: readonly Uint8Array[]): Uint8Array<ArrayBuffer> {
   const all = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
   let at = 0;

@@ -4,10 +4,12 @@ import {
   BufferAttribute,
   BufferGeometry,
   Camera,
+  DoubleSide,
   GLSL3,
   Mesh,
   NoBlending,
   RawShaderMaterial,
+  type ShaderMaterialParameters,
   Scene,
   type WebGLRenderer,
   type WebGLRenderTarget,
@@ -38,20 +40,44 @@ export function setUniforms(program: RawShaderMaterial, values: Readonly<Record<
   }
 }
 
+/** Return a program that draws a mesh from both sides; its parts are those of `shader`. */
+export function meshProgram(
+  vertex: string,
+  fragment: readonly string[],
+  uniforms: Readonly<Record<string, { value: unknown }>>,
+  more: ShaderMaterialParameters = {},
+  macros: Macros = {},
+): RawShaderMaterial {
+  return new RawShaderMaterial({
+    ...{ glslVersion: GLSL3, side: DoubleSide, blending: NoBlending },
+    vertexShader: shader([vertex]),
+    fragmentShader: shader(fragment, macros),
+    uniforms,
+    ...more,
+  });
+}
+
+/** Return a scene of one mesh that is drawn by a program of its own, wherever it is. */
+export function sceneOf(mesh: Mesh): Scene {
+  const scene = new Scene();
+  mesh.frustumCulled = false;
+  scene.add(mesh);
+  scene.matrixWorldAutoUpdate = false;
+  return scene;
+}
+
 /** One triangle that covers everything. */
 export class FullScreen {
   readonly #geometry = new BufferGeometry();
   readonly #mesh: Mesh;
-  readonly #scene = new Scene();
+  readonly #scene: Scene;
   readonly #camera = new Camera();
 
   constructor(private readonly renderer: WebGLRenderer) {
     const corners = new Float32Array([-1, -1, 0, 3, -1, 0, -1, 3, 0]);
     this.#geometry.setAttribute("position", new BufferAttribute(corners, 3));
     this.#mesh = new Mesh(this.#geometry);
-    this.#mesh.frustumCulled = false;
-    this.#scene.add(this.#mesh);
-    this.#scene.matrixWorldAutoUpdate = false;
+    this.#scene = sceneOf(this.#mesh);
   }
 
   /** Draw a program into a target, or onto the canvas. */

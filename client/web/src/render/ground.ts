@@ -10,18 +10,16 @@
 import {
   CustomBlending,
   DataTexture,
-  DoubleSide,
   FloatType,
-  GLSL3,
   LessDepth,
   LinearFilter,
   Mesh,
   OneFactor,
   Camera,
-  RawShaderMaterial,
+  type RawShaderMaterial,
   RedFormat,
   RGBAFormat,
-  Scene,
+  type Scene,
   type BufferGeometry,
   UnsignedByteType,
   type WebGLRenderer,
@@ -30,11 +28,10 @@ import {
 import type { Direction } from "../engine/environment.js";
 import { maxDominant } from "../light/prepare.js";
 import { ballOf } from "./ball.js";
-import { type FullScreen, screenProgram, setUniforms } from "./fullScreen.js";
+import { type FullScreen, meshProgram, sceneOf, screenProgram, setUniforms } from "./fullScreen.js";
 import { discDirections, type GroundLight, numSky, skyDirections } from "./groundLight.js";
 import type { CastLights } from "./shadowMaps.js";
 import type { Look, Method } from "./looks.js";
-import { shader } from "./shaders.js";
 import castFragment from "./shaders/groundCast.frag.glsl?raw";
 import castVertex from "./shaders/groundCast.vert.glsl?raw";
 import sharesFragment from "./shaders/groundShares.frag.glsl?raw";
@@ -54,7 +51,6 @@ const discSamples = { moving: 5, still: 15 } as const;
 export type GroundPlace = {
   readonly centre: readonly [x: number, y: number];
   readonly height: number;
-  /** Half its side. */
   readonly reach: number;
 };
 
@@ -83,7 +79,6 @@ function bytes(side: number, depthBuffer: boolean): WebGLRenderTarget {
   });
 }
 
-/** The ground under one object. */
 export class Ground {
   readonly #tiles = bytes(tilesAcross * skySide, false);
   readonly #lights = bytes(2 * lightSide, true);
@@ -92,7 +87,7 @@ export class Ground {
   readonly #skyPass = screenProgram([skyFragment], sides);
   readonly #sharePass = screenProgram([sharesFragment], sides);
   readonly #cast: RawShaderMaterial;
-  readonly #scene = new Scene();
+  readonly #scene: Scene;
   readonly #camera = new Camera();
   /** How many directions of the sky its tiles hold. */
   #drawn = 0;
@@ -102,26 +97,15 @@ export class Ground {
     readonly place: GroundPlace,
   ) {
     const { centre, height, reach } = place;
-    this.#cast = new RawShaderMaterial({
-      glslVersion: GLSL3,
-      vertexShader: shader([castVertex]),
-      fragmentShader: shader([castFragment]),
-      uniforms: {
-        place: { value: [...centre, height, reach] },
-        slope: { value: [0, 0] },
-        layer: { value: 0 },
-        share: { value: 1 },
-      },
-      side: DoubleSide,
-      depthFunc: LessDepth,
-      blending: CustomBlending,
-      blendSrc: OneFactor,
-      blendDst: OneFactor,
-    });
-    const mesh = new Mesh(geometry, this.#cast);
-    mesh.frustumCulled = false;
-    this.#scene.add(mesh);
-    this.#scene.matrixWorldAutoUpdate = false;
+    const uniforms = {
+      place: { value: [...centre, height, reach] },
+      slope: { value: [0, 0] },
+      layer: { value: 0 },
+      share: { value: 1 },
+    };
+    const adding = { blending: CustomBlending, blendSrc: OneFactor, blendDst: OneFactor } as const;
+    this.#cast = meshProgram(castVertex, [castFragment], uniforms, { depthFunc: LessDepth, ...adding });
+    this.#scene = sceneOf(new Mesh(geometry, this.#cast));
     setUniforms(this.#skyPass, { tiles: this.#tiles.texture, skyLight: this.#skyLight });
     setUniforms(this.#sharePass, { sky: this.#sky.texture, lights: this.#lights.texture });
   }

@@ -16,7 +16,6 @@ import spread from "./shaders/spread.frag.glsl?raw";
 import { halfFloatTarget } from "./targets.js";
 import type { BundleTextures } from "./textures.js";
 
-/** Draws irradiance of one object. */
 export class IrradiancePasses {
   readonly #direct: RawShaderMaterial;
   readonly #indirect: RawShaderMaterial;
@@ -43,12 +42,10 @@ export class IrradiancePasses {
     });
   }
 
-  /** All programs. */
   get programs(): RawShaderMaterial[] {
     return [this.#direct, this.#indirect, this.#spread];
   }
 
-  /** Draw all of a light. */
   draw(screen: FullScreen, light: FallingLight, into: AtlasLight): void {
     const { direct, indirect } = this.textures.transport;
     setUniforms(this.#direct, sumFactors(direct, light.coefficientsRgb, 1));

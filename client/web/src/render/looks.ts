@@ -1,5 +1,3 @@
-/** The options of the renderer. */
-
 import type { PhotoCamera } from "../bundle/cameras.js";
 
 /** Numbers of the channels, as the shaders know them. */
@@ -33,7 +31,6 @@ export const outputs = {
   linear: 2,
 } as const;
 
-/** Red, green, blue. */
 export type Rgb = readonly [number, number, number];
 
 /** Changes to the bundle's material, as in `lambent_relight.edits`. */
@@ -46,7 +43,6 @@ export type MaterialEdit = {
   readonly metalnessShift: number;
 };
 
-/** Conversion of radiance to a picture. */
 export type Look = {
   readonly channel: Channel;
   readonly tone: ToneCurve;
@@ -72,7 +68,6 @@ export type LightTurn = {
   readonly pitchDeg: number;
   /** About +x, before both. */
   readonly rollDeg: number;
-  /** Factor on radiance. */
   readonly intensity: number;
 };
 

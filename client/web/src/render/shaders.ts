@@ -6,7 +6,6 @@ import constants from "../contract/constants.glsl?raw";
 import { backgrounds, channels, outputs, toneCurves } from "./looks.js";
 import header from "./shaders/header.glsl?raw";
 
-/** Values of macros, by name. */
 export type Macros = Readonly<Record<string, number | string>>;
 
 /** Return macros for the members of an enumeration: KIND_NAME. */
@@ -16,7 +15,6 @@ function named(kind: string, values: Readonly<Record<string, number>>): Macros {
   );
 }
 
-/** What every shader knows. */
 const common: Macros = {
   TABLE_WIDTH: tableWidth,
   MAX_DOMINANT: maxDominant,

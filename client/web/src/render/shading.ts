@@ -87,7 +87,6 @@ export class Shading {
     });
   }
 
-  /** Set how they are lit. */
   light(look: Look, method: Method, light: StageLight, turn: LightTurn, caster: ShadowCaster): void {
     const gain = look.edit.albedoGain.map((value, channel) => value * this.bundle.albedoScaleRgb[channel]!);
     setUniforms(this.material, {

@@ -6,15 +6,12 @@
 import {
   Camera,
   DepthTexture,
-  DoubleSide,
-  GLSL3,
   LessDepth,
   Mesh,
   NearestFilter,
-  NoBlending,
-  RawShaderMaterial,
+  type RawShaderMaterial,
   RedFormat,
-  Scene,
+  type Scene,
   type BufferGeometry,
   type Texture,
   UnsignedIntType,
@@ -25,8 +22,7 @@ import { shadowMapSide } from "../contract/constants.js";
 import type { Direction } from "../engine/environment.js";
 import { maxDominant } from "../light/prepare.js";
 import type { Ball } from "./ball.js";
-import { setUniforms } from "./fullScreen.js";
-import { shader } from "./shaders.js";
+import { meshProgram, sceneOf, setUniforms } from "./fullScreen.js";
 import castFragment from "./shaders/shadowCast.frag.glsl?raw";
 import castVertex from "./shaders/shadowCast.vert.glsl?raw";
 
@@ -46,41 +42,25 @@ export function lightAxes(direction: Direction): readonly [Direction, Direction,
 /** Lights as they stand over the object. */
 export type CastLights = {
   readonly directions: readonly Direction[];
-  /** Radii of their discs. */
   readonly radiiRad: readonly number[];
 };
 
 /** Draws the maps of one object; maps of four lights lie two by two in one texture. */
 export class ShadowCaster {
   readonly #cast: RawShaderMaterial;
-  readonly #scene = new Scene();
+  readonly #scene: Scene;
   readonly #camera = new Camera();
 
   constructor(
     geometry: BufferGeometry,
     private readonly ball: Ball,
   ) {
-    this.#cast = new RawShaderMaterial({
-      glslVersion: GLSL3,
-      vertexShader: shader([castVertex]),
-      fragmentShader: shader([castFragment]),
-      uniforms: {
-        axes: { value: null },
-        ballCentre: { value: ball.centre },
-        ballRadius: { value: ball.radius },
-      },
-      side: DoubleSide,
-      depthFunc: LessDepth,
-      blending: NoBlending,
-      colorWrite: false,
-    });
-    const mesh = new Mesh(geometry, this.#cast);
-    mesh.frustumCulled = false;
-    this.#scene.add(mesh);
-    this.#scene.matrixWorldAutoUpdate = false;
+    const place = { ballCentre: { value: ball.centre }, ballRadius: { value: ball.radius } };
+    const writing = { depthFunc: LessDepth, colorWrite: false } as const;
+    this.#cast = meshProgram(castVertex, [castFragment], { axes: { value: null }, ...place }, writing);
+    this.#scene = sceneOf(new Mesh(geometry, this.#cast));
   }
 
-  /** Draw the maps of lights. */
   draw(renderer: WebGLRenderer, { directions }: CastLights, into: ShadowMaps): void {
     const { target } = into;
     target.viewport.set(0, 0, target.width, target.height);

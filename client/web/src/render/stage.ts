@@ -52,7 +52,6 @@ type Scenery = {
   readonly shading: Shading;
   readonly scene: Scene;
   readonly caster: ShadowCaster;
-  /** Created on first use. */
   ground: Ground | null;
 };
 
@@ -87,7 +86,6 @@ export class Stage {
     Object.assign(this.#camera, { matrixAutoUpdate: false, matrixWorldAutoUpdate: false });
   }
 
-  /** The bundle that is shown. */
   get bundle(): ShownBundle | null {
     return this.#scenery?.bundle ?? null;
   }
@@ -138,13 +136,11 @@ export class Stage {
     this.#lights.set(name, new StageLight(prepared, this.#scenery.textures));
   }
 
-  /** Forget a light. */
   dropLight(name: string): void {
     this.#lights.get(name)?.dispose();
     this.#lights.delete(name);
   }
 
-  /** Return a light, or null. */
   light(name: string): StageLight | null {
     return this.#lights.get(name) ?? null;
   }

@@ -3,13 +3,10 @@
 import {
   BufferAttribute,
   BufferGeometry,
-  DoubleSide,
-  GLSL3,
   Mesh,
   NearestFilter,
-  NoBlending,
   type PixelFormat,
-  RawShaderMaterial,
+  type RawShaderMaterial,
   RedFormat,
   RedIntegerFormat,
   RGBAIntegerFormat,
@@ -18,7 +15,7 @@ import {
   WebGLRenderTarget,
 } from "three";
 import type { AtlasMesh } from "../bundle/mesh.js";
-import { shader } from "./shaders.js";
+import { meshProgram } from "./fullScreen.js";
 import maskFragment from "./shaders/mask.frag.glsl?raw";
 import samples from "./shaders/samples.glsl?raw";
 import fragment from "./shaders/surface.frag.glsl?raw";
@@ -31,7 +28,6 @@ function lastLevel(texture: Texture, leastSize: number): number {
   return Math.floor(Math.log2(width / leastSize));
 }
 
-/** Return a target for samples. */
 export function sampleTarget(width: number, height: number): WebGLRenderTarget {
   const target = new WebGLRenderTarget(width, height, {
     count: 2,
@@ -57,7 +53,6 @@ export function maskTarget(width: number, height: number): WebGLRenderTarget {
 
 const noFloor = -1e30;
 
-/** The mesh with its programs. */
 export class Surface {
   readonly mesh: Mesh<BufferGeometry, RawShaderMaterial>;
   readonly program: RawShaderMaterial;
@@ -72,30 +67,22 @@ export class Surface {
     geometry.setAttribute("normal", new BufferAttribute(mesh.normalsXyz, 3));
     geometry.setAttribute("tangent", new BufferAttribute(mesh.tangentsXyzw, 4));
     geometry.setIndex(new BufferAttribute(mesh.indices, 1));
-    const vertexShader = shader([vertex]);
-    const leastSize = textures.transport.size;
-    this.mask = new RawShaderMaterial({
-      ...{ glslVersion: GLSL3, vertexShader, fragmentShader: shader([maskFragment]) },
-      ...{ side: DoubleSide, blending: NoBlending, depthTest: false, depthWrite: false },
-      uniforms: { floorHeight: this.#floor },
-    });
-    this.program = new RawShaderMaterial({
-      glslVersion: GLSL3,
-      vertexShader,
-      fragmentShader: shader([samples, fragment], {
-        ALBEDO_LEVEL: lastLevel(textures.albedoMap, leastSize),
-        PACKED_LEVEL: lastLevel(textures.packedMap, leastSize),
-        NORMAL_LEVEL: lastLevel(textures.normalMap, leastSize),
-      }),
-      uniforms: {
-        albedoMap: { value: textures.albedoMap },
-        packedMap: { value: textures.packedMap },
-        normalMap: { value: textures.normalMap },
-        floorHeight: this.#floor,
-      },
-      side: DoubleSide,
-      blending: NoBlending,
-    });
+    const floorHeight = this.#floor;
+    const flat = { depthTest: false, depthWrite: false };
+    this.mask = meshProgram(vertex, [maskFragment], { floorHeight }, flat);
+    const { albedoMap, packedMap, normalMap, transport } = textures;
+    const uniforms = {
+      albedoMap: { value: albedoMap },
+      packedMap: { value: packedMap },
+      normalMap: { value: normalMap },
+      floorHeight,
+    };
+    const macros = {
+      ALBEDO_LEVEL: lastLevel(albedoMap, transport.size),
+      PACKED_LEVEL: lastLevel(packedMap, transport.size),
+      NORMAL_LEVEL: lastLevel(normalMap, transport.size),
+    };
+    this.program = meshProgram(vertex, [samples, fragment], uniforms, {}, macros);
     this.mesh = new Mesh(geometry, this.program);
     this.mesh.frustumCulled = false;
   }

@@ -135,7 +135,6 @@ export class BundleTextures {
     return true;
   }
 
-  /** All of them. */
   get all(): Texture[] {
     return Object.values(this).filter((each) => each instanceof Texture);
   }
@@ -202,7 +201,6 @@ export function splitSumTexture(table: Float32Array<ArrayBuffer>): DataTexture {
   return ready(new DataTexture(table, splitSumSide, splitSumSide, RGFormat, FloatType), "RG32F");
 }
 
-/** Return the levels of a light. */
 export function levelsTexture({ levels }: PreparedLight): DataTexture {
   const { halfRgba, width, height } = levels;
   return ready(new DataTexture(halfRgba, width, height, RGBAFormat, HalfFloatType), "RGBA16F");

@@ -43,7 +43,6 @@ function even(length: number, most: number): number {
   return Math.ceil(length / Math.ceil(length / most));
 }
 
-/** Return the camera of a part of a picture. */
 export function cameraOfPart(camera: ViewCamera, { left, top, width, height }: Part): ViewCamera {
   return { ...camera, width, height, centreX: camera.centreX - left, centreY: camera.centreY - top };
 }

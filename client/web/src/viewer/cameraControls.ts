@@ -25,7 +25,6 @@ CameraControls.install({
   THREE: { Box3, Matrix4, Quaternion, Raycaster, Sphere, Spherical, Vector2, Vector3, Vector4 },
 });
 
-/** What the controls ask for. */
 export type CameraActions = {
   readonly change: (next: Partial<Turned>) => void;
   /** Called when something begins to move, and when it has come to rest. */

@@ -47,7 +47,6 @@ export class ComparisonView {
     view.append(this.#photo, this.#split, this.#sides);
   }
 
-  /** Follow the viewer's state. */
   show(): void {
     const { state } = this.viewer;
     const photo = this.#showPhoto();

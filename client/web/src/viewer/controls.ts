@@ -7,7 +7,6 @@ import type { ViewerState } from "./state.js";
 import { undoTools } from "./undo.js";
 import type { Viewer } from "./viewer.js";
 
-/** What the controls ask for. */
 export type ControlActions = Pick<StripActions, "openMap"> & {
   readonly change: (change: Partial<ViewerState>) => void;
 };
@@ -58,13 +57,11 @@ export class Controls {
     if (!on) this.#undo.forget();
   }
 
-  /** Put one part of the state back. */
   reset(part: ResetPart): void {
     this.#undo.apart();
     this.act.change(resetOf(part, this.viewer.state, this.viewer));
   }
 
-  /** Follow the viewer's state. */
   show(): void {
     const isThere = this.viewer.bundle !== null;
     for (const each of [this.#undo.element, this.#strip.element]) each.hidden = !isThere;

@@ -8,7 +8,6 @@ import type { ViewerState } from "./state.js";
 import type { Viewer } from "./viewer.js";
 import { fillIn, texts } from "../words/words.js";
 
-/** What copying needs of the interface. */
 export type CopyHost = {
   readonly viewer: Viewer;
   /** Where a dialog is put. */

@@ -18,7 +18,6 @@ const style = `
 
 let sheet: CSSStyleSheet | null = null;
 
-/** Return the sheet. */
 export function dialogSheet(): CSSStyleSheet {
   if (sheet === null) {
     sheet = new CSSStyleSheet();

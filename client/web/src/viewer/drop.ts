@@ -3,10 +3,8 @@
 import type { BundleOrigin } from "../bundle/source.js";
 import { chosenFiles, droppedEntries, filesIn } from "../page/files.js";
 
-/** The files of a bundle. */
 export type DroppedBundle = Exclude<BundleOrigin, { kind: "url" }>;
 
-/** The dropped item. */
 export type Dropped = DroppedBundle | { readonly kind: "map"; readonly file: File };
 
 /** Return the kind of a list of files, or null if it is unknown. */

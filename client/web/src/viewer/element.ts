@@ -273,7 +273,6 @@ export class LambentViewerElement extends HTMLElement {
     this.dispatchEvent(new CustomEvent(name, { detail }));
   }
 
-  /** Keep the viewer during work. */
   async #busy<T>(work: () => Promise<T>): Promise<T> {
     this.#works++;
     try {

@@ -3,17 +3,13 @@
 import type { LoadedBundle } from "../bundle/load.js";
 import type { RefineStatus } from "../refine/status.js";
 
-/** The events of a viewer. */
 export type ViewerEvents = {
-  /** The state is another one. */
   readonly change: () => void;
   /** The bundle that is being read is there, and has a name. */
   readonly opened: (name: string) => void;
   /** A bundle is being read; bytes that have come, and all. */
   readonly progress: (readBytes: number, totalBytes: number) => void;
-  /** A bundle is shown. */
   readonly load: (bundle: LoadedBundle) => void;
-  /** A picture was drawn. */
   readonly draw: () => void;
   /** Refining came further, or to an end. */
   readonly refine: (status: RefineStatus) => void;
@@ -33,14 +29,12 @@ export class Emitter {
     return () => all.delete(listener);
   }
 
-  /** Tell everyone who listens to `name`. */
   tell<N extends keyof ViewerEvents>(name: N, ...values: Parameters<ViewerEvents[N]>): void {
     for (const listener of this.#listeners.get(name) ?? []) {
       (listener as (...values: Parameters<ViewerEvents[N]>) => void)(...values);
     }
   }
 
-  /** Forget all listeners. */
   clear(): void {
     this.#listeners.clear();
   }

@@ -23,7 +23,6 @@ const messageMs = 8000;
 /** Share of the height that controls may take from the picture. */
 const mostTaken = 0.65;
 
-/** What the interface asks its element for. */
 export type InterfaceActions = {
   /** Keep the viewer drawing during work that would be lost otherwise. */
   readonly during: <T>(work: () => Promise<T>) => Promise<T>;
@@ -141,7 +140,6 @@ export class Interface {
     this.describe();
   }
 
-  /** Show an error. */
   problem(error: unknown): void {
     if (error instanceof DOMException && error.name === "AbortError") return;
     let text = error instanceof Error ? error.message : String(error);
@@ -270,7 +268,6 @@ export class Interface {
     this.act.during(isRefined ? refined : plain).catch((error: unknown) => this.problem(error));
   }
 
-  /** Open the dialog that makes films. */
   async #film(root: ShadowRoot): Promise<void> {
     try {
       const [{ FilmDialog }, { dialogSheet }] = await Promise.all([
@@ -289,7 +286,6 @@ export class Interface {
     }
   }
 
-  /** Follow the viewer's state. */
   #show(): void {
     const { state } = this.viewer;
     this.#panel.show();

@@ -8,7 +8,6 @@ import { turned, turnedAbout, turnFor } from "./turning.js";
 import type { Viewer } from "./viewer.js";
 import { fillIn, texts } from "../words/words.js";
 
-/** What the ball asks for. */
 export type BallActions = {
   readonly turn: (turn: LightTurn) => void;
   readonly moving: (on: boolean) => void;

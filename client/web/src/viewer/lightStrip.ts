@@ -5,7 +5,6 @@ import { lightTexts } from "./lightTexts.js";
 import type { Viewer } from "./viewer.js";
 import { texts } from "../words/words.js";
 
-/** What the row asks for. */
 export type StripActions = {
   readonly choose: (light: string) => void;
   readonly openMap: () => void;

@@ -15,7 +15,6 @@ type Host = {
   readonly lit: (notes: readonly string[]) => void;
 };
 
-/** The lights of one viewer. */
 export class ViewerLights {
   readonly #client = new LightClient();
   readonly #files = new Map<string, Uint8Array<ArrayBuffer>>();
@@ -41,7 +40,6 @@ export class ViewerLights {
     this.#shown.clear();
   }
 
-  /** Compute the split-sum table. */
   splitSum(): Promise<Float32Array<ArrayBuffer>> {
     return this.#client.splitSum();
   }
@@ -56,7 +54,6 @@ export class ViewerLights {
     return light;
   }
 
-  /** Names of maps that were dropped. */
   get mapNames(): string[] {
     return [...this.#files.keys()];
   }

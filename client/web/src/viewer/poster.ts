@@ -19,12 +19,10 @@ export class Poster {
     this.hide();
   }
 
-  /** Whether there is a picture. */
   get isThere(): boolean {
     return !this.#image.hidden || !this.#still.hidden;
   }
 
-  /** Take the address of a picture. */
   source(address: string | null): void {
     this.#image.hidden = address === null || address === "";
     if (address) this.#image.src = address;

@@ -2,7 +2,6 @@
 
 /** One element that would like to draw. */
 export type Guest = {
-  /** Begin drawing. */
   readonly wake: () => void;
   /** Give the context back, and show a still picture from now on. */
   readonly rest: () => void;
@@ -91,5 +90,4 @@ export class Seats {
   }
 }
 
-/** The seats of this page. */
 export const seats = new Seats();

@@ -26,7 +26,6 @@ export type OrbitPose = {
   readonly target: Rgb;
 };
 
-/** The state of a viewer. */
 export type ViewerState = {
   /** The source of the light: "trained:NAME", "preset:NAME", "url:ADDRESS", or "file:NAME" of a dropped file. */
   readonly environment: string;
@@ -42,7 +41,7 @@ export type ViewerState = {
   readonly split: number;
   /** The photograph on the right of a comparison with one. */
   readonly photo: string;
-  /** Whether the picture is refined through the fast cache while nothing moves. */
+  /** Whether the picture is refined while nothing moves. */
   readonly refine: boolean;
 };
 

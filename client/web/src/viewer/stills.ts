@@ -5,11 +5,9 @@ import { interrupted } from "../render/fault.js";
 /** What ends the work on one picture: `lost` says that it can no longer be made, and `end` is called in any case. */
 export type Still = { readonly lost: AbortSignal; readonly end: () => void };
 
-/** The pictures of one viewer. */
 export class Stills {
   readonly #begun = new Set<AbortController>();
 
-  /** Whether one is being made. */
   get isAny(): boolean {
     return this.#begun.size > 0;
   }

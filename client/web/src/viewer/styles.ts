@@ -120,7 +120,6 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 @media (prefers-reduced-motion: no-preference) { .panel { transition: opacity 0.15s; } }
 `;
 
-/** Return the sheet. */
 export function viewerSheet(): CSSStyleSheet {
   const sheet = new CSSStyleSheet();
   sheet.replaceSync(text);

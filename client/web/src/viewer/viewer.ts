@@ -95,7 +95,6 @@ export class Viewer {
     return this.bundle === null ? null : this.#source;
   }
 
-  /** The current state. */
   get state(): ViewerState {
     return this.#state;
   }

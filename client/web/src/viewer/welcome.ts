@@ -27,14 +27,12 @@ export class Welcome {
     this.invite();
   }
 
-  /** Ask for a bundle. */
   invite(): void {
     this.#say(texts.viewer.invite, texts.viewer.inviteMore);
     this.#progress.hidden = true;
     this.#bytes.hidden = true;
   }
 
-  /** A bundle is asked for. */
   reading(): void {
     this.#say(texts.viewer.opening, "");
     this.#progress.hidden = false;

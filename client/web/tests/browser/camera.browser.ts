@@ -1,26 +1,15 @@
 import type { Browser, BrowserContext, CDPSession, Page } from "playwright-core";
 import { beforeAll, describe, expect, it } from "vitest";
 import { sharedChromium } from "../support/chromium.js";
-import { fixedView, openViewer } from "./support.js";
+import { change, drawnIn, fixedView, openViewer, soon, stateOf } from "./support.js";
 
 const size = { width: 480, height: 360 };
 const browser = await sharedChromium();
 let page: Page;
 
-const state = (of = page) => of.evaluate(() => document.querySelector("lambent-viewer")!.state);
-const update = (change: object, of = page) =>
-  of.evaluate((given) => document.querySelector("lambent-viewer")!.update(given), change);
-/** Return how many pictures are drawn in some time. */
-const drawn = (of: Page, ms: number) =>
-  of.evaluate(async (time) => {
-    let count = 0;
-    const stop = document.querySelector("lambent-viewer")!.viewer!.on("draw", () => count++);
-    await new Promise((resolve) => setTimeout(resolve, time));
-    stop();
-    return count;
-  }, ms);
-const soon = <T>(find: () => Promise<T>) => expect.poll(find, { timeout: 20_000 });
-const rest = (of = page) => soon(() => drawn(of, 1500)).toBe(0);
+const state = (of = page) => stateOf(of);
+const update = (part: object, of = page) => change(of, part);
+const rest = (of = page) => soon(() => drawnIn(of, 1500)).toBe(0);
 
 async function open(more: Parameters<Browser["newContext"]>[0] = {}): Promise<[BrowserContext, Page]> {
   const context = await browser.newContext({ viewport: size, ...more });
@@ -163,7 +152,7 @@ describe("the camera", () => {
 
   it("draws nothing while nothing moves, also while it is held", async () => {
     await rest();
-    expect(await drawn(page, 1500)).toBe(0);
+    expect(await drawnIn(page, 1500)).toBe(0);
     await page.mouse.move(100, 180);
     await page.mouse.down();
     await page.mouse.move(104, 180);

@@ -1,14 +1,13 @@
 import type { Page } from "playwright-core";
 import { beforeAll, describe, expect, it } from "vitest";
 import { sharedChromium } from "../support/chromium.js";
-import { expectedPictures, fixedView, meanDifference, openViewer, pictureOf } from "./support.js";
+import { change, expectedPictures, fixedView, meanDifference, openViewer, pictureOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
 const browser = await sharedChromium();
 let page: Page;
 
-const update = (change: object) =>
-  page.evaluate((given) => document.querySelector("lambent-viewer")!.update(given), change);
+const update = (part: object) => change(page, part);
 
 beforeAll(async () => {
   page = await openViewer(browser, { ...fixedView, env: "preset:studio" }, "data/bundle/", {

@@ -1,13 +1,11 @@
 import type { BrowserContext, CDPSession, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, inject, it } from "vitest";
 import { sharedChromium } from "../support/chromium.js";
-import { fixedView, keep, meanDifference, openViewer, pictureOf } from "./support.js";
+import { fixedView, keep, meanDifference, openViewer, pictureOf, stateOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
 const small = { width: 320, height: 240 };
 const browser = await sharedChromium();
-
-const state = (page: Page) => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
 
 describe("on a telephone", () => {
   let context: BrowserContext;
@@ -65,9 +63,9 @@ describe("on a telephone", () => {
   });
 
   it("one finger turns the camera", async () => {
-    const before = await state(page);
+    const before = await stateOf(page);
     await fingers([[120, 250]], [[160, 270]]);
-    const after = await state(page);
+    const after = await stateOf(page);
     // Seven tenths of a turn over the height of the picture.
     expect(after.pose.azimuthDeg).toBeCloseTo(before.pose.azimuthDeg - 14.4, 3);
     expect(after.pose.elevationDeg).toBeCloseTo(before.pose.elevationDeg + 7.2, 3);
@@ -75,7 +73,7 @@ describe("on a telephone", () => {
   });
 
   it("two fingers that part come nearer, and closer together go away", async () => {
-    const before = await state(page);
+    const before = await stateOf(page);
     await fingers(
       [
         [150, 300],
@@ -86,7 +84,7 @@ describe("on a telephone", () => {
         [285, 300],
       ],
     );
-    const near = await state(page);
+    const near = await stateOf(page);
     expect(near.pose.distance).toBeCloseTo(before.pose.distance / 2, 3);
     expect(near.pose.azimuthDeg).toBe(before.pose.azimuthDeg);
     await fingers(
@@ -99,7 +97,7 @@ describe("on a telephone", () => {
         [240, 300],
       ],
     );
-    expect((await state(page)).pose.distance).toBeCloseTo(before.pose.distance, 3);
+    expect((await stateOf(page)).pose.distance).toBeCloseTo(before.pose.distance, 3);
     // The page itself was neither scrolled nor enlarged.
     expect(await page.evaluate(() => [scrollY, visualViewport!.scale])).toEqual([0, 1]);
   });
@@ -167,12 +165,7 @@ describe("a graphics card that is taken away", () => {
       Object.assign(globalThis, { lose });
       lose.loseContext();
     });
-    await page.waitForFunction(() =>
-      document
-        .querySelector("lambent-viewer")!
-        .shadowRoot!.querySelector("[data-problem]")
-        ?.textContent?.includes("graphics card is not available"),
-    );
+    await page.waitForSelector("[data-problem]:has-text('graphics card is not available')");
     await page.evaluate(() => {
       (globalThis as unknown as { lose: WEBGL_lose_context }).lose.restoreContext();
     });
@@ -229,12 +222,7 @@ describe("a card without memory", () => {
     await page.evaluate(() => {
       document.querySelector("lambent-viewer")!.setAttribute("src", "data/bundle/");
     });
-    await page.waitForFunction(() =>
-      document
-        .querySelector("lambent-viewer")!
-        .shadowRoot!.querySelector("[data-problem]")
-        ?.textContent?.includes("enough memory for the bundle; close other pages"),
-    );
+    await page.waitForSelector("[data-problem]:has-text('enough memory for the bundle; close other pages')");
     await context.close();
   });
 });
@@ -308,13 +296,8 @@ describe("a card with small textures", () => {
     await page.evaluate(() => {
       document.querySelector("lambent-viewer")!.setAttribute("src", "data/bundle/");
     });
-    await page.waitForFunction(() =>
-      document
-        .querySelector("lambent-viewer")!
-        .shadowRoot!.querySelector("[data-problem]")
-        ?.textContent?.includes(
-          "takes textures of 512 texels a side, the bundle has tables of 1024; use another device",
-        ),
+    await page.waitForSelector(
+      "[data-problem]:has-text('takes textures of 512 texels a side, the bundle has tables of 1024; use another device')",
     );
     await context.close();
   });

@@ -4,15 +4,14 @@ import type { Page } from "playwright-core";
 import { beforeAll, describe, expect, inject, it } from "vitest";
 import { readExr } from "../../src/light/exrInput.js";
 import { sharedChromium } from "../support/chromium.js";
-import { fixedView, fixtureFile, meanDifference, openViewer, pictureOf } from "./support.js";
+import { change, fixedView, fixtureFile, meanDifference, openViewer, pictureOf, stateOf } from "./support.js";
 
 const size = { width: 96, height: 72 };
 const browser = await sharedChromium();
 let page: Page;
 
-const state = () => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
-const update = (change: object) =>
-  page.evaluate((given) => document.querySelector("lambent-viewer")!.update(given), change);
+const state = () => stateOf(page);
+const update = (part: object) => change(page, part);
 const message = () =>
   page.evaluate(
     () => document.querySelector("lambent-viewer")!.shadowRoot!.querySelector(".message")!.textContent,
@@ -252,12 +251,7 @@ describe("bundles", () => {
 
   it("that cannot be used say why, and the one before stays", async () => {
     await drop([{ name: "broken.relight.zip", data: Buffer.alloc(64) }]);
-    await page.waitForFunction(() =>
-      document
-        .querySelector("lambent-viewer")!
-        .shadowRoot!.querySelector("[data-problem]")
-        ?.textContent?.includes("bundle.archive_damaged"),
-    );
+    await page.waitForSelector("[data-problem]:has-text('bundle.archive_damaged')");
     const code = await page.evaluate(async () => {
       try {
         await document.querySelector("lambent-viewer")!.show("data/nothing/");
@@ -324,12 +318,7 @@ describe("without WebGL 2", () => {
       HTMLCanvasElement.prototype.getContext = () => null;
     });
     await other.goto(`${inject("site")}/viewer.html#src=${inject("site")}/data/bundle/`);
-    await other.waitForFunction(() =>
-      document
-        .querySelector("lambent-viewer")
-        ?.shadowRoot?.querySelector("[data-problem]")
-        ?.textContent?.includes("WebGL 2"),
-    );
+    await other.waitForSelector("[data-problem]:has-text('WebGL 2')");
     await other.close();
   });
 });

@@ -1,12 +1,12 @@
 import type { Page } from "playwright-core";
 import { beforeAll, describe, expect, inject, it } from "vitest";
 import { sharedChromium } from "../support/chromium.js";
-import { fixtureFile, openViewer } from "./support.js";
+import { fixtureFile, openViewer, soon, stateOf } from "./support.js";
 
 const browser = await sharedChromium();
 let page: Page;
 
-const state = () => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
+const state = () => stateOf(page);
 const chips = () =>
   page.evaluate(() =>
     [
@@ -17,7 +17,6 @@ const chips = () =>
       return { name: chip.textContent, pressed: chip.ariaPressed, painted: (middle?.[3] ?? 0) > 0 };
     }),
   );
-const soon = <T>(find: () => Promise<T>) => expect.poll(find, { timeout: 20_000 });
 const focused = () =>
   page.evaluate(() => document.querySelector("lambent-viewer")!.shadowRoot!.activeElement?.textContent);
 

@@ -1,7 +1,7 @@
 import type { CDPSession, Page } from "playwright-core";
 import { beforeAll, describe, expect, it } from "vitest";
 import { sharedChromium } from "../support/chromium.js";
-import { openViewer } from "./support.js";
+import { change, drawnIn, openViewer, soon, stateOf } from "./support.js";
 
 const [width, height] = [390, 844];
 const browser = await sharedChromium();
@@ -27,7 +27,6 @@ const middle = () =>
     const { centreX, centreY } = viewer.canvasCamera({ width: clientWidth, height: clientHeight });
     return [centreX, centreY];
   });
-const soon = <T>(find: () => Promise<T>) => expect.poll(find, { timeout: 20_000 });
 
 /** Move one finger upwards along the screen. */
 async function slide(from: number, up: number, steps = 12): Promise<void> {
@@ -57,9 +56,8 @@ async function fingers(way: (share: number) => readonly Point[], steps = 5): Pro
   for (let step = 1; step <= steps; step++) await touch("touchMove", way(step / steps));
   await touch("touchEnd", []);
 }
-const state = () => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
-const update = (change: object) =>
-  page.evaluate((given) => document.querySelector("lambent-viewer")!.update(given), change);
+const state = () => stateOf(page);
+const update = (part: object) => change(page, part);
 
 beforeAll(async () => {
   const context = await browser.newContext({
@@ -140,21 +138,13 @@ describe("on a phone", () => {
   });
 
   it("nothing is drawn while nothing changes, with the sheet open or shut", async () => {
-    const drawn = (ms: number) =>
-      page.evaluate(async (time) => {
-        let count = 0;
-        const stop = document.querySelector("lambent-viewer")!.viewer!.on("draw", () => count++);
-        await new Promise((resolve) => setTimeout(resolve, time));
-        stop();
-        return count;
-      }, ms);
-    await soon(() => drawn(1500)).toBe(0);
-    expect(await drawn(1500)).toBe(0);
+    await soon(() => drawnIn(page, 1500)).toBe(0);
+    expect(await drawnIn(page, 1500)).toBe(0);
     const bar = await boxOf(".panel > summary");
     await page.touchscreen.tap(100, 0.5 * (bar.top + bar.bottom));
     await soon(isOpen).toBe(true);
-    await soon(() => drawn(1500)).toBe(0);
-    expect(await drawn(1500)).toBe(0);
+    await soon(() => drawnIn(page, 1500)).toBe(0);
+    expect(await drawnIn(page, 1500)).toBe(0);
   });
 
   it("a tap on a light chooses it, and the row is swiped to the others", async () => {

@@ -3,7 +3,7 @@
 import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { join, resolve } from "node:path";
 import type { Browser, BrowserContext, Page } from "playwright-core";
-import { inject } from "vitest";
+import { expect, inject } from "vitest";
 import type { LambentViewerElement } from "../../src/viewer/element.js";
 import type { ViewCamera } from "../../src/render/looks.js";
 
@@ -57,6 +57,26 @@ export async function openViewer(
   if (src !== null) await page.evaluate(() => document.querySelector("lambent-viewer")!.ready);
   return page;
 }
+
+/** Return the state of a page's viewer. */
+export const stateOf = (page: Page) => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
+
+/** Change the state of a page's viewer. */
+export const change = (page: Page, part: object) =>
+  page.evaluate((given) => document.querySelector("lambent-viewer")!.update(given), part);
+
+/** Expect something of what is found again and again, until it is so. */
+export const soon = <T>(find: () => Promise<T>) => expect.poll(find, { timeout: 20_000 });
+
+/** Return how many pictures are drawn in some time. */
+export const drawnIn = (page: Page, ms: number) =>
+  page.evaluate(async (time) => {
+    let count = 0;
+    const stop = document.querySelector("lambent-viewer")!.viewer!.on("draw", () => count++);
+    await new Promise((resolve) => setTimeout(resolve, time));
+    stop();
+    return count;
+  }, ms);
 
 /** Return straight RGBA bytes of what the viewer shows, or of what a camera sees; without noise unless `dither`. */
 export async function pictureOf(

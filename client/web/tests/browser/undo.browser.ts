@@ -1,14 +1,13 @@
 import type { Page } from "playwright-core";
 import { beforeAll, describe, expect, it } from "vitest";
 import { sharedChromium } from "../support/chromium.js";
-import { openViewer } from "./support.js";
+import { change, openViewer, stateOf } from "./support.js";
 
 const browser = await sharedChromium();
 let page: Page;
 
-const state = () => page.evaluate(() => document.querySelector("lambent-viewer")!.state);
-const update = (change: object) =>
-  page.evaluate((given) => document.querySelector("lambent-viewer")!.update(given), change);
+const state = () => stateOf(page);
+const update = (part: object) => change(page, part);
 const told = () => new URLSearchParams(new URL(page.url()).hash.slice(1));
 
 async function drag(across: number): Promise<void> {
