@@ -69,7 +69,7 @@ def main(folder: Path) -> None:
             # A float32 is written as it was given: by its shortest decimal.
             value = values[name]
             text = str(value)
-            camel = re.sub(r"_([a-z0-9])", lambda found: found[1].upper(), called.lower())
+            camel = re.sub(r"_([a-z0-9])", lambda match: match[1].upper(), called.lower())
             script += f"export const {camel} = {text.removesuffix('.0')};\n"
             shader += f"#define {called} {text}\n"
     (folder / "constants.ts").write_text(script, encoding="utf-8")

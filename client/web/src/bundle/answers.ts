@@ -3,7 +3,7 @@
 import { BundleFault } from "../page/fault.js";
 import { bundleFaults, fillIn } from "../words/words.js";
 
-/** Return the fault for an answer that was no success; `path` is the file that was asked for, perhaps by a share link. */
+/** Return the fault for an unsuccessful answer; `path` is the file that was asked for, perhaps by a share link. */
 export function refusal(status: number, path: string, address: URL, byLink = false): BundleFault {
   const asked = `"${path}" (${status})`;
   const isOurs = /\/v1\/bundles\//.test(address.pathname);

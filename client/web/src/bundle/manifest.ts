@@ -36,7 +36,7 @@ export type OpenBundle = {
   readonly begin: (path: string, bytes: number, others: () => Promise<unknown>) => Promise<Beginning>;
 };
 
-/** What is there of a file, and what reads all of it; null where that is all. */
+/** The part of a file that was read, and what reads all of it; null if the part is all. */
 export type Beginning = {
   readonly data: Uint8Array<ArrayBuffer>;
   readonly whole: (() => Promise<Uint8Array<ArrayBuffer>>) | null;

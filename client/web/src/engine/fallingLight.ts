@@ -35,7 +35,7 @@ export function bouncedCoefficients(light: FallingLight, bands: number): Float64
 }
 
 /**
- * Return the factors of the planes' bytes, and what is there without them. Plane p holds coefficient p / channels of
+ * Return the factors of the planes' bytes, and the constant term. Plane p holds coefficient p / channels of
  * channel p mod channels, or of all three where there is one channel.
  */
 export function sumFactors(table: Planes, coefficientsRgb: ArrayLike<number>, channels: 1 | 3) {

@@ -19,7 +19,7 @@ export function keepOutputs(data: Uint8Array, names: readonly string[]): Uint8Ar
     const attributes = graph.node.flatMap((node) => node.attribute);
     if (!attributes.some((part) => part.g !== undefined || part.graphs.length > 0)) {
       const needed = new Set(names);
-      // Nodes stand in an order in which none comes before what it needs.
+      // Nodes are sorted: none comes before what it needs.
       const serving = graph.node.reverse().filter((node) => {
         const serves = node.output.some((name) => needed.has(name));
         if (serves) for (const name of node.input) needed.add(name);

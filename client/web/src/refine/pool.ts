@@ -33,7 +33,7 @@ export function workersFor(
   return Math.max(Math.min(wanted, Math.floor(most)), 1);
 }
 
-/** Some workers that are asked together and answer as one. */
+/** Workers that get the same questions and answer as one. */
 export class RefinePool {
   readonly #workers: Worker[] = [];
   #opening = 0;

@@ -49,7 +49,7 @@ class Fade {
     return this.#drawnAt !== null && this.#passedMs < this.lengthMs;
   }
 
-  /** Go on to what is drawn now, and return how far that is: 0 at first, 1 in the end. */
+  /** Advance to the frame that is drawn now, and return its progress: 0 at first, 1 in the end. */
   next(): number {
     if (this.lengthMs <= 0) return 1;
     const now = performance.now();

@@ -104,7 +104,7 @@ export async function refinedStill<T extends Pixels>(
             into,
             camera.width,
           );
-          // Its loss is told later, and what was read is black.
+          // The event of a lost context comes later, and what was read is black.
           if (stage.renderer.getContext().isContextLost()) throw interrupted("refine");
           resolve();
         };

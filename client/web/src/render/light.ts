@@ -76,7 +76,7 @@ export class StageLight {
     };
   }
 
-  /** Return where the dominant lights stand after a turn, and what they give. */
+  /** Return the directions of the dominant lights after a turn, and their irradiance. */
   dominant(turn: LightTurn): Pick<FallingLight, "directions" | "irradianceRgb"> {
     const { lights } = this.prepared;
     const matrix = turnMatrix(turn);
@@ -88,7 +88,7 @@ export class StageLight {
     };
   }
 
-  /** Return where the dominant lights stand after a turn, and how wide they are. */
+  /** Return the directions of the dominant lights after a turn, and their radii. */
   cast(turn: LightTurn): CastLights {
     return { directions: this.dominant(turn).directions, radiiRad: this.prepared.lightRadiiRad };
   }

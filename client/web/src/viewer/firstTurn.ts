@@ -27,7 +27,7 @@ export function isSlow(frameMs: readonly number[]): boolean {
 /**
  * Turn the light of a viewer slowly about +z from when a bundle is there until the first input, a change by anyone
  * else, or `signal`. A light that someone has turned, and one beside another, stays; and all do where the system asks
- * for reduced motion. `moving` is told of the beginning and the end.
+ * for reduced motion. `moving` is called at the beginning and the end.
  */
 export function turnUntilInput(
   viewer: Viewer,

@@ -74,7 +74,7 @@ export function firstView(
   return { home, homeTurn, state: shown };
 }
 
-/** Return a state in a light that is there: a link may name a map that is gone, and the object is shown all the same. */
+/** Return a state in an available light: a link may name a map that is gone, and the object is shown all the same. */
 export function inAnotherLight(
   state: ViewerState,
   { trainedMaps }: Pick<LoadedBundle, "trainedMaps">,

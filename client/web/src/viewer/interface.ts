@@ -130,7 +130,7 @@ export class Interface {
     }
   }
 
-  /** Show the picture with its controls, or what stands in its place. */
+  /** Show the picture with its controls, or the welcome text. */
   #showPicture(isThere: boolean): void {
     this.#welcome.element.hidden = isThere;
     this.#dock.hidden = !isThere;
@@ -207,7 +207,7 @@ export class Interface {
     });
   }
 
-  /** The object stands in the middle of what the controls at the bottom leave. */
+  /** Keep the object in the middle of what the controls at the bottom leave free. */
   #makeRoom(): void {
     const box = this.#view.getBoundingClientRect();
     const line = this.#controls?.line.getBoundingClientRect();

@@ -27,7 +27,7 @@ export function pick(
   ];
 }
 
-/** Return how many times `direction` the nearest triangle is away, or null; from either side (Moeller and Trumbore). */
+/** Return the distance of the nearest triangle in lengths of `direction`, or null; both sides count (Moeller and Trumbore). */
 function nearest(
   { positionsXyz: p, indices }: Pick<AtlasMesh, "positionsXyz" | "indices">,
   [ox, oy, oz]: Point,

@@ -5,7 +5,7 @@ export type Guest = {
   readonly wake: () => void;
   /** Give the context back, and show a still picture from now on. */
   readonly rest: () => void;
-  /** Whether it must go on drawing: someone's own file or a film would be lost. */
+  /** Whether it must keep drawing: a user's own file or a film would be lost. */
   readonly isBusy: () => boolean;
 };
 

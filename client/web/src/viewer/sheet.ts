@@ -51,7 +51,7 @@ export function draggableSheet(panel: HTMLDetailsElement, isSheet: () => boolean
     panel.open = Math.abs(speed) > flickSpeed ? speed > 0 : isHigh;
   };
   for (const lifted of releases) on(summary, lifted, lift);
-  // The click that ends a drag is no tap.
+  // A drag ends with a click, which must not toggle the panel.
   on(summary, "click", (event) => {
     if (dragged) event.preventDefault();
     dragged = false;

@@ -76,7 +76,7 @@ function apply(matrix: Matrix3, [x, y, z]: Direction): Direction {
   return [at(0), at(1), at(2)];
 }
 
-/** Return the turn of a built-in light whose key light stands at the left of someone who looks from an azimuth. */
+/** Return the turn of a built-in light whose key light is on the left of a viewer at an azimuth. */
 export function turnTowards(azimuthDeg: number): LightTurn {
   return { ...initialState.turn, yawDeg: wrapped(Math.round(azimuthDeg)) };
 }

@@ -136,7 +136,7 @@ export class Viewer {
     try {
       await this.lights.apply();
     } catch (error) {
-      // The trouble of a bundle that is not shown any more is nobody's.
+      // Ignore errors of a bundle that is no longer shown.
       loading.signal.throwIfAborted();
       if (!(error instanceof MapFault)) throw error;
       trouble = error;
@@ -203,7 +203,7 @@ export class Viewer {
     return beside(this.#inset, width, height, (...size) => this.camera(...size));
   }
 
-  /** What lies on the canvas; the object stands in the middle of the rest. */
+  /** What covers the canvas; the object is in the middle of the rest. */
   set inset(inset: Inset) {
     if (Object.entries(inset).every(([edge, share]) => this.#inset[edge as keyof Inset] === share)) return;
     this.#inset = inset;
@@ -260,7 +260,7 @@ export class Viewer {
     this.invalidate();
   }
 
-  /** Give up refining what is shown, and return what refines a picture of any size; its `end` goes on with it. */
+  /** Stop refining what is shown, and return what refines a picture of any size; its `end` resumes. */
   refineElsewhere(): StillHost & { readonly end: () => void } {
     this.#endRefining();
     return {

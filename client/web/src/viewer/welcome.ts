@@ -1,4 +1,4 @@
-/** What stands in place of the picture while there is none: an invitation, the progress of reading, or a problem. */
+/** Shown in place of the picture before there is one: an invitation, the progress of reading, or a problem. */
 
 import { formatSize } from "../page/format.js";
 import { make } from "./fields.js";
@@ -59,7 +59,7 @@ export class Welcome {
 
   /** The bundle cannot be shown; `retry` asks for it again. */
   failed(retry: (() => void) | null): void {
-    // What went wrong stands in the message, which is told to those who do not see it, too.
+    // The message says what went wrong; screen readers announce it.
     this.#say(texts.viewer.notShown, "");
     this.#retry = retry;
     this.#again.hidden = retry === null;

@@ -58,7 +58,7 @@ void main() {
   if (background >= BACKGROUND_ENVIRONMENT && sum.a < 1.0) {
     float blur = background == BACKGROUND_BLURRED ? maxBlur : 0.0;
     vec3 behind = radianceFrom(normalize(ray), blur) * (1.0 - shadow.rgb);
-    // Beside a channel that is no radiance the surroundings are shown as if they were none.
+    // Behind channels without light the surroundings are dark.
     sum = vec4(sum.rgb + (1.0 - sum.a) * (radiance ? behind : vec3(0.02)), 1.0);
   }
   // Where nothing is behind, the shadow is black that covers as much as the ground loses of luminance.
@@ -81,7 +81,7 @@ void main() {
     alpha = covered;
   }
   vec3 levels = target == OUTPUT_CANVAS ? encoded * alpha : encoded;
-  // A plain background stays as it was asked for, and what is no radiance as it was measured.
+  // Only radiance is dithered: a plain background keeps its exact colour, and other channels their values.
   bool shaded = radiance && (sum.a > 0.0 || shadow.a > 0.0);
   if (dither && shaded) levels = clamp(levels + noise(), 0.0, target == OUTPUT_CANVAS ? alpha : 1.0);
   result = vec4(levels, alpha);
