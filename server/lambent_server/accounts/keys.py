@@ -73,17 +73,8 @@ class CreatedKey(Key):
 
 def show(row: KeyRow) -> Key:
     """Return a key in the form of the REST interface."""
-    return Key(
-        id=row.id,
-        name=row.name,
-        created_at=rfc3339(row.created_at),
-        expires_at=rfc3339(row.expires_at),
-        revoked_at=rfc3339(row.revoked_at),
-        last_used_at=rfc3339(row.last_used_at),
-        scopes=sorted(parsed(row.scopes)),
-        user_id=row.user_id,
-        made_by=row.maker_key_id or row.maker_user_id,
-    )
+    made_by = row.maker_key_id or row.maker_user_id
+    return Key.of(row, scopes=sorted(parsed(row.scopes)), made_by=made_by)
 
 
 def create(

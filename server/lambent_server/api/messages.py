@@ -1,12 +1,13 @@
 """Bodies of the REST interface; those that mirror a message of `proto/` have its fields and defaults."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from lambent_core.layouts import LAYOUTS
 from lambent_core.pictures import WHOLE, Name
 from pydantic import BaseModel, ConfigDict, Field, computed_field
 
 from lambent_server.api.parameters import Settings, SettingValue
+from lambent_server.core.clock import rfc3339
 from lambent_server.database.model import SceneState
 
 # Without this the schema would allow names that match none of the patterns.
@@ -32,6 +33,13 @@ class Shown(BaseModel):
     """A body that the server sends."""
 
     model_config = ConfigDict(extra="forbid")
+
+    @classmethod
+    def of(cls, row: object, **given: Any) -> Self:
+        """Return the body of a row: columns of the same names, times as text, and what is given besides."""
+        same = {name: getattr(row, name) for name in cls.model_fields.keys() - given if hasattr(row, name)}
+        times = {name: rfc3339(at) for name, at in same.items() if name == "at" or name.endswith("_at")}
+        return cls(**{**same, **times, **given})
 
 
 class NewScene(Given):

@@ -12,7 +12,7 @@ from lambent_server.api.pagination import LabelFilter, LongPageFilter, select_ne
 from lambent_server.api.resources import IdempotencyKey, IfMatch, ResourceRoute, digest_of, require_match
 from lambent_server.bundles import rows as bundle_rows
 from lambent_server.bundles.messages import BundleDetail, BundleList, NewShare, Share, ShareList
-from lambent_server.core.clock import new_id, now, rfc3339
+from lambent_server.core.clock import new_id, now
 from lambent_server.database.model import BundleRow, ShareRow
 from lambent_server.database.schema import bundles
 from lambent_server.http.common import Id, ServicesOf, TenantOf, WhoOf, problems
@@ -75,14 +75,8 @@ def _secret(request: Request) -> str:
 
 def _show(request: Request, row: ShareRow) -> Share:
     base = str(request.base_url).rstrip("/")
-    return Share(
-        id=row.id,
-        bundle_id=row.bundle_id,
-        url=f"{base}{shares.page_path(row.id)}#{shares.sign(_secret(request), row)}",
-        created_at=rfc3339(row.created_at),
-        expires_at=rfc3339(row.expires_at),
-        frame_ancestors=shares.frame_ancestors(row),
-    )
+    url = f"{base}{shares.page_path(row.id)}#{shares.sign(_secret(request), row)}"
+    return Share.of(row, url=url, frame_ancestors=shares.frame_ancestors(row))
 
 
 @router.post(

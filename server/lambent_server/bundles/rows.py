@@ -8,7 +8,6 @@ from lambent_server.api import labels as label_rows
 from lambent_server.api.change_messages import BundleChange
 from lambent_server.api.resources import require
 from lambent_server.bundles.messages import Bundle, BundleDetail, BundleFile
-from lambent_server.core.clock import rfc3339
 from lambent_server.database.model import BundleFileRow, BundleRow
 from lambent_server.database.rows import many
 from lambent_server.database.schema import bundle_files, bundles, scenes
@@ -49,12 +48,9 @@ def show_all(connection: Connection, tenant: Tenant, bundle_rows: Sequence[Bundl
     names = {scene.id: scene.name for scene in connection.execute(named)}
     shown = thumbnail_urls(connection, tenant, identifiers)
     return [
-        Bundle(
-            id=row.id,
-            job_id=row.job_id,
-            scene_id=row.scene_id,
+        Bundle.of(
+            row,
             scene_name=names.get(row.scene_id, ""),
-            created_at=rfc3339(row.created_at),
             num_files=sizes.get(row.id, (0, 0.0))[0],
             size_bytes=sizes.get(row.id, (0, 0.0))[1],
             thumbnail_url=shown.get(row.id),
@@ -68,13 +64,7 @@ def show_files(connection: Connection, tenant: Tenant, row: BundleRow) -> Bundle
     """Return a bundle with its files, sorted by path."""
     statement = rows(tenant, bundle_files).where(bundle_files.c.bundle_id == row.id)
     files = [
-        BundleFile(
-            path=each.path,
-            sha256=each.sha256,
-            size_bytes=int(each.size_bytes),
-            media_type=each.media_type,
-            url=file_url(row.id, each.path),
-        )
+        BundleFile.of(each, url=file_url(row.id, each.path))
         for each in many(connection, statement.order_by(bundle_files.c.path), BundleFileRow)
     ]
     return BundleDetail(**show(connection, tenant, row).model_dump(), files=files)

@@ -20,7 +20,7 @@ from lambent_server.api.parameters import SIZE_STEP, odd_size
 from lambent_server.api.problems import Detail, Problem, conflict, invalid
 from lambent_server.api.resources import require
 from lambent_server.cluster.membership import most_gpus
-from lambent_server.core.clock import new_id, now, rfc3339
+from lambent_server.core.clock import new_id, now
 from lambent_server.core.settings import Settings
 from lambent_server.database.model import ArtifactRow, EventRow, JobRow, SceneRow
 from lambent_server.database.schema import job_labels, jobs, scenes
@@ -91,53 +91,23 @@ def show_all(connection: Connection, tenant: Tenant, job_rows: Sequence[JobRow])
 
 
 def _show(row: JobRow, scene: Any, result_url: str | None) -> Job:
-    return Job(
-        **{
-            name: getattr(row, name)
-            for name in [
-                "id",
-                "kind",
-                "scene_id",
-                "preset",
-                "params",
-                "gpus",
-                "priority",
-                "labels",
-                "seed",
-                "webhook",
-                "state",
-                "run",
-                "progress",
-                "error",
-                "bundle_id",
-            ]
-        },
+    return Job.of(
+        row,
         scene_name="" if scene is None else scene.name,
         batch_id=row.order_id if row.kind == "batch" else None,
         thumbnail_url=result_url or blob_url(row.preview_sha256 or (scene and scene.thumbnail_sha256)),
-        created_at=rfc3339(row.created_at),
-        started_at=rfc3339(row.started_at),
-        finished_at=rfc3339(row.finished_at),
-        retry_at=rfc3339(row.retry_at),
         last_event=row.event_seq,
     )
 
 
 def show_event(row: EventRow) -> Event:
     """Return an event of a job's history in the form of the REST interface."""
-    names = ["job_id", "seq", "type", "run", "state", "progress", "message", "sha256", "name"]
-    return Event(at=rfc3339(row.at), **{name: getattr(row, name) for name in names})
+    return Event.of(row)
 
 
 def show_artifact(row: ArtifactRow) -> Artifact:
     """Return a file that a job has published in the form of the REST interface."""
-    return Artifact(
-        name=row.name,
-        sha256=row.sha256,
-        size_bytes=int(row.size_bytes),
-        media_type=row.media_type,
-        url=f"/v1/blobs/{row.sha256}",
-    )
+    return Artifact.of(row, url=f"/v1/blobs/{row.sha256}")
 
 
 def order_of(row: JobRow) -> NewJob:

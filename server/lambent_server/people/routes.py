@@ -13,7 +13,7 @@ from lambent_server.accounts.who import Who
 from lambent_server.api.pagination import LongPageFilter, select_newest
 from lambent_server.api.problems import Problem, not_found
 from lambent_server.api.resources import ResourceRoute
-from lambent_server.core.clock import now, rfc3339
+from lambent_server.core.clock import now
 from lambent_server.database.model import AuditRow, KeyRow
 from lambent_server.database.people_schema import audit_entries
 from lambent_server.database.tenancy import Tenant, find
@@ -114,6 +114,4 @@ def list_audit_entries(
 
 def show_entry(row: AuditRow) -> AuditEntry:
     """Return an entry of the audit log in the form of the REST interface."""
-    copied = ("id", "actor_kind", "actor_id", "action", "target", "address", "request_id", "outcome", "hash")
-    details = json.loads(row.details)
-    return AuditEntry(at=rfc3339(row.at), details=details, **{name: getattr(row, name) for name in copied})
+    return AuditEntry.of(row, details=json.loads(row.details))

@@ -13,7 +13,7 @@ from lambent_server.api.idempotency import made_before
 from lambent_server.api.messages import Environment, EnvironmentList
 from lambent_server.api.pagination import LongPageFilter, select_newest
 from lambent_server.api.resources import IdempotencyKey, ResourceRoute, digest_of, require
-from lambent_server.core.clock import new_id, now, rfc3339
+from lambent_server.core.clock import new_id, now
 from lambent_server.database.model import EnvironmentRow
 from lambent_server.database.schema import environments
 from lambent_server.database.tenancy import Tenant, add
@@ -29,12 +29,7 @@ router = APIRouter(tags=["environments"], route_class=ResourceRoute)
 
 
 def _show(row: EnvironmentRow) -> Environment:
-    names = ["id", "name", "format", "width", "height", "sha256", "size_bytes"]
-    return Environment(
-        **{name: getattr(row, name) for name in names},
-        created_at=rfc3339(row.created_at),
-        url=f"/v1/blobs/{row.sha256}",
-    )
+    return Environment.of(row, url=f"/v1/blobs/{row.sha256}")
 
 
 @router.post(

@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, Connection, FromClause, case, false, func,
 from lambent_server.api.idempotency import made_before
 from lambent_server.api.problems import Detail, Problem, conflict, invalid, not_found
 from lambent_server.cluster.membership import total_slots
-from lambent_server.core.clock import new_id, now, rfc3339
+from lambent_server.core.clock import new_id, now
 from lambent_server.database.model import BundleFileRow, BundleRow, EnvironmentRow, JobRow, OrderRow
 from lambent_server.database.rows import many, one
 from lambent_server.database.schema import (
@@ -203,12 +203,9 @@ def show(connection: Connection, tenant: Tenant, row: OrderRow) -> Batch:
     failed = rows(tenant, events, func.count()).where(
         events.c.job_id.in_(identifiers), events.c.type == "finding"
     )
-    return Batch(
-        id=row.id,
-        name=row.name,
+    return Batch.of(
+        row,
         state=_state([job.state for job in newest]),
-        created_at=rfc3339(row.created_at),
-        num_pictures=row.num_pictures,
         num_done=sum((job.progress or {}).get("step", 0) for job in parts),
         num_failed=connection.execute(failed).scalar_one(),
         job_ids=identifiers,

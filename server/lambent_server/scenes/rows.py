@@ -13,7 +13,7 @@ from lambent_server.api.change_messages import SceneChange
 from lambent_server.api.messages import NewScene, Scene
 from lambent_server.api.problems import Detail, Problem, conflict
 from lambent_server.api.resources import require
-from lambent_server.core.clock import new_id, now, rfc3339
+from lambent_server.core.clock import new_id, now
 from lambent_server.core.settings import Settings
 from lambent_server.database.model import SceneFileRow, SceneRow
 from lambent_server.database.rows import many
@@ -48,24 +48,7 @@ def require_open(row: SceneRow) -> None:
 
 def show(row: SceneRow) -> Scene:
     """Return the scene in the form of the REST interface."""
-    return Scene(
-        id=row.id,
-        name=row.name,
-        state=row.state,
-        layout=row.layout,
-        created_at=rfc3339(row.created_at),
-        committed_at=rfc3339(row.committed_at),
-        num_files=row.num_files,
-        size_bytes=int(row.size_bytes),
-        content_sha256=row.content_sha256,
-        thumbnail_url=thumbnail_url(row),
-        labels=row.labels or {},
-    )
-
-
-def thumbnail_url(row: SceneRow) -> str | None:
-    """Return the address of a scene's photograph; None if there is none."""
-    return blob_url(row.thumbnail_sha256)
+    return Scene.of(row, thumbnail_url=blob_url(row.thumbnail_sha256), labels=row.labels or {})
 
 
 def set_thumbnail(connection: Connection, tenant: Tenant, scene: SceneRow, sha256: str) -> None:

@@ -11,7 +11,7 @@ from lambent_server.database.model import JobRow, SecretRow, WebhookRow
 from lambent_server.database.rows import many
 from lambent_server.database.service_schema import webhook_deliveries, webhook_secrets, webhooks
 from lambent_server.database.tenancy import Tenant, add, add_if_absent, rows
-from lambent_server.webhooks.messages import ENDS, PING, DeliveredBody, DeliveredError, DeliveredJob
+from lambent_server.webhooks.messages import ENDS, PING, DeliveredBody, DeliveredJob
 from lambent_server.webhooks.signing import new_signing_secret
 
 PENDING = "pending"
@@ -45,18 +45,9 @@ def tell(connection: Connection, job: JobRow, state: str, seq: int) -> None:
 
 def _told(job: JobRow, state: str, seq: int) -> DeliveredJob:
     error = job.error
-    names = ("id", "kind", "scene_id", "preset", "labels", "priority", "run", "bundle_id")
-    return DeliveredJob(
-        **{name: getattr(job, name) for name in names},
-        state=state,
-        seq=seq,
-        batch_id=job.order_id if job.kind == "batch" else None,
-        error=DeliveredError(code=error["code"], message=error["message"][:_MESSAGE_CHARACTERS])
-        if error
-        else None,
-        created_at=rfc3339(job.created_at),
-        finished_at=rfc3339(job.finished_at),
-    )
+    cut = {"message": error["message"][:_MESSAGE_CHARACTERS], "code": error["code"]} if error else None
+    batch_id = job.order_id if job.kind == "batch" else None
+    return DeliveredJob.of(job, state=state, seq=seq, batch_id=batch_id, error=cut)
 
 
 def ping(connection: Connection, tenant: Tenant, webhook: WebhookRow) -> str:

@@ -41,11 +41,7 @@ def check_url(url: str, settings: Settings, pointer: str) -> None:
 
 def show(row: WebhookRow) -> Webhook:
     """Return a subscription in the form of the REST interface."""
-    return Webhook(
-        **{name: getattr(row, name) for name in ("id", "url", "name", "events", "labels", "disabled_reason")},
-        enabled=row.disabled_at is None,
-        created_at=rfc3339(row.created_at),
-    )
+    return Webhook.of(row, enabled=row.disabled_at is None)
 
 
 def show_created(row: WebhookRow) -> CreatedWebhook:
@@ -55,16 +51,8 @@ def show_created(row: WebhookRow) -> CreatedWebhook:
 
 def show_delivery(row: DeliveryRow) -> Delivery:
     """Return a delivery in the form of the REST interface."""
-    return Delivery(
-        **{
-            name: getattr(row, name)
-            for name in ("id", "webhook_id", "job_id", "event", "url", "state", "num_attempts")
-        },
-        created_at=rfc3339(row.created_at),
-        next_at=rfc3339(row.next_at),
-        ended_at=rfc3339(row.ended_at),
-        attempts=[DeliveryAttempt(**{**each, "at": rfc3339(each["at"])}) for each in row.attempts],
-    )
+    attempts = [DeliveryAttempt(**{**each, "at": rfc3339(each["at"])}) for each in row.attempts]
+    return Delivery.of(row, attempts=attempts)
 
 
 def require(connection: Connection, tenant: Tenant, webhook_id: str, *, lock: bool = False) -> WebhookRow:
