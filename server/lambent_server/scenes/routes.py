@@ -294,10 +294,10 @@ def prefers_html(accept: str) -> bool:
 
 def report_of(scene: SceneRow, figures: FiguresRow | None) -> SceneReportAnswer:
     """Return the report of a scene's row and that of its figures."""
-    empty = {"usable": False, "layout": "", "findings": [], "num_train_frames": 0, "num_test_frames": 0}
+    report = scene.report or scene_rows.unchecked_report()
     return SceneReportAnswer(
         scene_id=scene.id,
         state=scene.state,
         checked=scene.state in ("ready", "rejected"),
-        **{"figures": None if figures is None else figures.figures, **(scene.report or empty)},
+        **{"figures": None if figures is None else figures.figures, **report},
     )

@@ -118,20 +118,25 @@ def check_files(files: Sequence[SceneFile], settings: Settings) -> None:
         raise Problem(413, "scene_too_large", detail)
 
 
-def unsupported_report(paths: Sequence[str]) -> dict[str, Any] | None:
-    """Return a report that lists the omitted files, or None if there are none."""
-    if not paths:
-        return None
-    findings = [
-        {
-            "code": "unsupported_file",
-            "severity": "warning",
-            "message": "this type of file does not belong in a scene; it was omitted",
-            "subject": path,
-        }
-        for path in paths[:100]
-    ]
-    return {"usable": False, "layout": "", "findings": findings, "num_train_frames": 0, "num_test_frames": 0}
+def unsupported_report(paths: Sequence[str]) -> dict[str, Any]:
+    """Return a report that lists the omitted files."""
+    message = "this type of file does not belong in a scene; it was omitted"
+    return unchecked_report(*(_finding("unsupported_file", "warning", message, path) for path in paths[:100]))
+
+
+def _finding(code: str, severity: str, message: str, subject: str) -> dict[str, Any]:
+    return {"code": code, "severity": severity, "message": message, "subject": subject}
+
+
+def unchecked_report(*findings: dict[str, Any]) -> dict[str, Any]:
+    """Return the report of a scene that no job has checked."""
+    return {
+        "usable": False,
+        "layout": "",
+        "findings": list(findings),
+        "num_train_frames": 0,
+        "num_test_frames": 0,
+    }
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -165,7 +170,7 @@ def plan(connection: Connection, tenant: Tenant, scene: SceneRow, files: Sequenc
         ]
         connection.execute(insert(scene_files), values)
     update = change(tenant, scenes).where(scenes.c.id == scene.id)
-    connection.execute(update.values(report=unsupported_report(unsupported)))
+    connection.execute(update.values(report=unsupported_report(unsupported) if unsupported else None))
     # In one order, so that two plans never wait for each other.
     hashes = sorted({file.sha256 for file in kept.values()})
     sizes = {sha256: touch(connection, tenant, sha256) for sha256 in hashes}
@@ -222,14 +227,7 @@ def reject(
     connection: Connection, tenant: Tenant, scene: SceneRow, code: str, message: str, subject: str
 ) -> None:
     """Mark the scene as unusable, with the reason."""
-    finding = {"code": code, "severity": "error", "message": message, "subject": subject}
-    report = {
-        "usable": False,
-        "layout": "",
-        "findings": [finding],
-        "num_train_frames": 0,
-        "num_test_frames": 0,
-    }
+    report = unchecked_report(_finding(code, "error", message, subject))
     _forget_files(connection, tenant, scene.id)
     update = change(tenant, scenes).where(scenes.c.id == scene.id)
     connection.execute(update.values(state="rejected", report=report, committed_at=now()))

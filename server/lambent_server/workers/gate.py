@@ -152,21 +152,24 @@ class Gatekeeper(grpc.ServerInterceptor):  # type: ignore[type-arg]
             self._single(handler.unary_unary, run, False, beats), **given
         )
 
-    def _enter(self, context: Any, run: str, stream: bool, beats: bool = False) -> None:
+    @contextmanager
+    def _place(self, context: Any, run: str, stream: bool, beats: bool = False) -> Iterator[None]:
+        """Take a place of the run's share, and give it back after the call."""
         if reason := self._shares.enter(run, stream=stream, beats=beats):
             WORKER_CALLS_REFUSED.labels(reason).inc()
             context.abort(grpc.StatusCode.RESOURCE_EXHAUSTED, f"too many calls ({reason}); try again")
+        try:
+            with _time_limit(context, stream):
+                yield
+        finally:
+            self._shares.leave(run, stream=stream)
 
     def _single(
         self, behavior: Callable[[Any, Any], Any], run: str, stream: bool, beats: bool = False
     ) -> Callable[[Any, Any], Any]:
         def act(request: Any, context: Any) -> Any:
-            self._enter(context, run, stream, beats)
-            try:
-                with _time_limit(context, stream):
-                    return behavior(_admitted(request, context, stream=stream), context)
-            finally:
-                self._shares.leave(run, stream=stream)
+            with self._place(context, run, stream, beats):
+                return behavior(_admitted(request, context, stream=stream), context)
 
         return act
 
@@ -174,12 +177,8 @@ class Gatekeeper(grpc.ServerInterceptor):  # type: ignore[type-arg]
         self, behavior: Callable[[Any, Any], Iterator[Any]], run: str
     ) -> Callable[[Any, Any], Iterator[Any]]:
         def act(request: Any, context: Any) -> Iterator[Any]:
-            self._enter(context, run, True)
-            try:
-                with _time_limit(context, True):
-                    yield from behavior(_admitted(request, context, stream=False), context)
-            finally:
-                self._shares.leave(run, stream=True)
+            with self._place(context, run, True):
+                yield from behavior(_admitted(request, context, stream=False), context)
 
         return act
 
