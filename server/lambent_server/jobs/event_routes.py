@@ -17,6 +17,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.types import Receive, Scope, Send
 
 from lambent_server.accounts.scopes import READ
+from lambent_server.api.messages import Event
 from lambent_server.api.problems import invalid, not_found
 from lambent_server.api.resources import ResourceRoute
 from lambent_server.core.clock import now
@@ -248,10 +249,7 @@ class _Stream:
             history = read_events(connection, self._tenant, job_id, self._told[job_id], BATCH)
             if not history:
                 break
-            messages += [
-                self._message("event", job_id, row.seq, encode(job_queries.show_event(row)))
-                for row in history
-            ]
+            messages += [self._message("event", job_id, row.seq, encode(Event.of(row))) for row in history]
         return messages
 
     def _may_go_on(self) -> bool:

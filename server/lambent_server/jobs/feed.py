@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from sqlalchemy import Connection
 from sqlalchemy.exc import SQLAlchemyError
 
+from lambent_server.api.messages import Event
 from lambent_server.api.pagination import PageFilter
 from lambent_server.api.problems import Problem
 from lambent_server.core.clock import now
@@ -290,7 +291,7 @@ def _read(
         history = read_events(connection, tenant, job_id, events[-1][0] if events else start, BATCH)
         if not history:
             break
-        events += [(row.seq, encode(job_queries.show_event(row))) for row in history]
+        events += [(row.seq, encode(Event.of(row))) for row in history]
     snapshot = None
     if len(known) < len(told):
         job = job_queries.show(connection, tenant, job_queries.require_job(connection, tenant, job_id))

@@ -14,7 +14,7 @@ from lambent_server.accounts.who import NOBODY, Maker
 from lambent_server.api import labels as label_rows
 from lambent_server.api.change_messages import JobChange
 from lambent_server.api.idempotency import made_before
-from lambent_server.api.messages import Artifact, Event, Job, NewJob, Preset
+from lambent_server.api.messages import Job, NewJob, Preset
 from lambent_server.api.pagination import PageFilter, read_page
 from lambent_server.api.parameters import SIZE_STEP, odd_size
 from lambent_server.api.problems import Detail, Problem, conflict, invalid
@@ -22,7 +22,7 @@ from lambent_server.api.resources import require
 from lambent_server.cluster.membership import most_gpus
 from lambent_server.core.clock import new_id, now
 from lambent_server.core.settings import Settings
-from lambent_server.database.model import ArtifactRow, EventRow, JobRow, SceneRow
+from lambent_server.database.model import JobRow, SceneRow
 from lambent_server.database.schema import job_labels, jobs, scenes
 from lambent_server.database.tenancy import Tenant, add, find, rows
 from lambent_server.jobs import bakes as bake_rows
@@ -98,16 +98,6 @@ def _show(row: JobRow, scene: Any, result_url: str | None) -> Job:
         thumbnail_url=result_url or blob_url(row.preview_sha256 or (scene and scene.thumbnail_sha256)),
         last_event=row.event_seq,
     )
-
-
-def show_event(row: EventRow) -> Event:
-    """Return an event of a job's history in the form of the REST interface."""
-    return Event.of(row)
-
-
-def show_artifact(row: ArtifactRow) -> Artifact:
-    """Return a file that a job has published in the form of the REST interface."""
-    return Artifact.of(row, url=f"/v1/blobs/{row.sha256}")
 
 
 def order_of(row: JobRow) -> NewJob:

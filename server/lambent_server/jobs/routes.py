@@ -13,8 +13,10 @@ from pydantic import Field
 from lambent_server.accounts import audit
 from lambent_server.api.change_messages import JobChange
 from lambent_server.api.messages import (
+    Artifact,
     ArtifactList,
     Estimate,
+    Event,
     EventList,
     Job,
     JobKind,
@@ -38,6 +40,7 @@ from lambent_server.jobs.feed import Feed, Subscription
 from lambent_server.jobs.pages import Wanted
 from lambent_server.jobs.rows import FAILED, FINAL, SUCCEEDED
 from lambent_server.services import Services
+from lambent_server.storage.store import blob_url
 
 router = APIRouter(tags=["jobs"], route_class=ResourceRoute)
 
@@ -203,7 +206,7 @@ def list_events(
             [events.c.seq],
             page=given,
         )
-    return EventList(items=[job_queries.show_event(row) for row in page], next_cursor=cursor)
+    return EventList(items=[Event.of(row) for row in page], next_cursor=cursor)
 
 
 @router.get(
@@ -242,4 +245,6 @@ def list_artifacts(
             [artifacts.c.name],
             page=given,
         )
-    return ArtifactList(items=[job_queries.show_artifact(row) for row in page], next_cursor=cursor)
+    return ArtifactList(
+        items=[Artifact.of(row, url=blob_url(row.sha256)) for row in page], next_cursor=cursor
+    )

@@ -15,7 +15,6 @@ from lambent_server.database.schema import artifacts, render_orders
 from lambent_server.database.tenancy import Tenant, rows
 from lambent_server.http.common import Id, ServicesOf, TenantOf, WhoOf, problems
 from lambent_server.jobs import queries as job_queries
-from lambent_server.jobs.queries import show_artifact
 from lambent_server.jobs.rows import CANCELLED, CANCELLING, QUEUED, RETRY_WAIT, RUNNING
 from lambent_server.renders import rows as render_rows
 from lambent_server.renders.messages import (
@@ -26,6 +25,7 @@ from lambent_server.renders.messages import (
     NewBatch,
     NewRender,
 )
+from lambent_server.storage.store import blob_url
 
 router = APIRouter(tags=["pictures"], route_class=ResourceRoute)
 
@@ -137,5 +137,5 @@ def list_batch_artifacts(
             [artifacts.c.name, artifacts.c.job_id],
             page=given,
         )
-        items = [BatchArtifact(job_id=each.job_id, **show_artifact(each).model_dump()) for each in page]
+        items = [BatchArtifact.of(each, url=blob_url(each.sha256)) for each in page]
     return BatchArtifactList(items=items, next_cursor=cursor)
