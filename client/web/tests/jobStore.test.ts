@@ -1,7 +1,7 @@
 import { beforeEach, describe, expect, it } from "vitest";
 import { chart, thinned } from "../src/jobs/curves.js";
 import { progressText } from "../src/jobs/jobLine.js";
-import { byStage, stageSeconds, stageStates } from "../src/jobs/live.js";
+import { stageSeconds, stageStates } from "../src/jobs/live.js";
 import { type JobRecord, JobStore, type Sample } from "../src/jobs/store.js";
 import type { Job, JobEvent, Progress } from "../src/page/rest.js";
 
@@ -18,32 +18,8 @@ const progress: Progress = {
 };
 
 function job(values: Partial<Job> = {}): Job {
-  return {
-    id: "job_a",
-    kind: "train",
-    scene_id: "scene_a",
-    scene_name: "a scene",
-    preset: "tiny",
-    params: {},
-    gpus: 0,
-    priority: 0,
-    labels: {},
-    seed: 0,
-    state: "running",
-    run: 1,
-    created_at: "2026-01-01T00:00:00.000Z",
-    started_at: "2026-01-01T00:00:01.000Z",
-    finished_at: null,
-    retry_at: null,
-    progress: null,
-    error: null,
-    bundle_id: null,
-    batch_id: null,
-    thumbnail_url: null,
-    last_event: 0,
-    webhook: null,
-    ...values,
-  };
+  const made = { id: "job_a", kind: "train", state: "running", run: 1, progress: null, last_event: 0 };
+  return { ...made, finished_at: null, bundle_id: null, thumbnail_url: null, ...values } as Job;
 }
 
 /** A server with one job and its history. */
@@ -185,17 +161,6 @@ describe("stages", () => {
     };
     const seconds = ["ingest", "cache", "export"].map((stage) => stageSeconds(record, stage));
     expect(seconds).toEqual([10, 50, null]);
-  });
-});
-
-describe("samples", () => {
-  it("make a curve for each stage, in the order in which they began", () => {
-    const sample = (stage: string, value: number): Sample => ({ atS: value, stage, value });
-    const found = byStage([sample("joint", 1), sample("joint", 2), sample("cache", 3)]);
-    expect([...found].map(([stage, samples]) => [stage, samples.map(({ value }) => value)])).toEqual([
-      ["joint", [1, 2]],
-      ["cache", [3]],
-    ]);
   });
 });
 

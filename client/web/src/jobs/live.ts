@@ -112,22 +112,13 @@ export function curves(): Part {
     element,
     update: (record) => {
       for (const kind of ["psnr", "loss"] as const) {
-        for (const [stage, samples] of byStage(record[kind])) plotOf(kind, stage).update(samples);
+        for (const [stage, samples] of Map.groupBy(record[kind], (sample) => sample.stage)) {
+          plotOf(kind, stage).update(samples);
+        }
       }
       folded.hidden = record.loss.length < 2;
     },
   };
-}
-
-/** Return the samples of each stage, in the order in which the stages began. */
-export function byStage(samples: readonly Sample[]): Map<string, Sample[]> {
-  const found = new Map<string, Sample[]>();
-  for (const sample of samples) {
-    const mine = found.get(sample.stage);
-    if (mine === undefined) found.set(sample.stage, [sample]);
-    else mine.push(sample);
-  }
-  return found;
 }
 
 function titleOf(stage: string): string {

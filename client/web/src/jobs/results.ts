@@ -61,31 +61,8 @@ function shownOf(bundle: BundleDetail, name: string) {
 
 /** Return the buttons below the viewer. */
 function actionsOf(artifacts: readonly Artifact[], bundle: BundleDetail | null): HTMLElement[] {
+  const found = bundle === null ? [] : bundleActions(bundle);
   const report = artifacts.find((artifact) => artifact.name === "report.html");
-  const found: HTMLElement[] = [];
-  if (bundle !== null) {
-    found.push(h("a", { class: "button first", href: viewerAddress(bundle.id) }, texts.results.fullViewer));
-    for (const [path, suffix] of assets) {
-      const file = bundle.files.find((each) => each.path === path);
-      if (file !== undefined)
-        found.push(
-          downloadButton(
-            fillIn(texts.results.download, { suffix }),
-            file.url,
-            path.split("/").at(-1)!,
-            file.size_bytes,
-          ),
-        );
-    }
-    found.push(
-      downloadButton(
-        fillIn(texts.results.download, { suffix: ".relight.zip" }),
-        archiveAddress(bundle.id),
-        "",
-        bundle.size_bytes,
-      ),
-    );
-  }
   if (report !== undefined) {
     const link = { class: "button", href: report.url, target: "_blank", rel: "noopener" };
     found.push(h("a", link, texts.results.report, h("span", { class: "sr" }, texts.page.newTab)));
@@ -93,29 +70,49 @@ function actionsOf(artifacts: readonly Artifact[], bundle: BundleDetail | null):
   return found;
 }
 
-function downloadButton(text: string, url: string, name: string, sizeBytes: number): HTMLElement {
-  // An empty name leaves it to the server, which knows the scene's.
-  return h(
-    "a",
-    { class: "button", href: url, download: name },
-    text,
-    h("span", { class: "faint" }, ` ${formatSize(sizeBytes)}`),
-  );
+function bundleActions(bundle: BundleDetail): HTMLElement[] {
+  const files = assets.flatMap(([path, suffix]) => {
+    const file = bundle.files.find((each) => each.path === path);
+    return file === undefined ? [] : [downloadButton(suffix, file.url, fileName(path), file.size_bytes)];
+  });
+  return [
+    h("a", { class: "button first", href: viewerAddress(bundle.id) }, texts.results.fullViewer),
+    ...files,
+    // The server names the archive, after the scene.
+    downloadButton(".relight.zip", archiveAddress(bundle.id), "", bundle.size_bytes),
+  ];
+}
+
+function downloadButton(suffix: string, url: string, name: string, sizeBytes: number): HTMLElement {
+  const link = { class: "button", href: url, download: name };
+  return h("a", link, fillIn(texts.results.download, { suffix }), sizeOf(sizeBytes));
+}
+
+function sizeOf(sizeBytes: number): HTMLElement {
+  return h("span", { class: "faint" }, ` ${formatSize(sizeBytes)}`);
+}
+
+function fileName(path: string): string {
+  return path.split("/").at(-1)!;
 }
 
 function fold(title: string, ...children: readonly HTMLElement[]): HTMLElement {
   return h("details", { class: "fold" }, h("summary", {}, title), ...children);
 }
 
+/** Return all files, those of the bundle that are also artifacts once. */
 function downloads(artifacts: readonly Artifact[], files: BundleDetail["files"]): HTMLElement[] {
-  const lines = downloadLines(artifacts, files);
-  if (lines.length === 0) return [];
-  return [
-    fold(
-      fillIn(texts.results.allFiles, { n: lines.length }),
-      h("ul", { class: "downloads", "aria-label": texts.results.downloads }, ...lines),
-    ),
+  const known = new Set(artifacts.map((artifact) => artifact.sha256));
+  const all = [
+    ...artifacts.map((artifact) => ({ ...artifact, path: artifact.name })),
+    ...files.filter((file) => !known.has(file.sha256)),
   ];
+  if (all.length === 0) return [];
+  const lines = all.map(({ url, path, size_bytes }) =>
+    h("li", {}, h("a", { href: url, download: fileName(path) }, path), sizeOf(size_bytes)),
+  );
+  const list = h("ul", { class: "downloads", "aria-label": texts.results.downloads }, ...lines);
+  return [fold(fillIn(texts.results.allFiles, { n: all.length }), list)];
 }
 
 /** Return the figures in words, and a table of them that opens on a click. */
@@ -124,23 +121,6 @@ function told(report: Report): HTMLElement[] {
     h("div", {}, h("dt", {}, about), h("dd", {}, h("b", {}, figure), `, ${words}`)),
   );
   return [...(words.length > 0 ? [h("dl", { class: "verdicts" }, ...words)] : []), ...metricTable(report)];
-}
-
-function downloadLines(artifacts: readonly Artifact[], files: BundleDetail["files"]): HTMLElement[] {
-  const line = (url: string, path: string, sizeBytes: number) =>
-    h(
-      "li",
-      {},
-      h("a", { href: url, download: path.split("/").at(-1)! }, path),
-      h("span", { class: "faint" }, ` ${formatSize(sizeBytes)}`),
-    );
-  const known = new Set(artifacts.map((artifact) => artifact.sha256));
-  return [
-    ...artifacts.map((artifact) => line(artifact.url, artifact.name, artifact.size_bytes)),
-    ...files
-      .filter((file) => !known.has(file.sha256))
-      .map((file) => line(file.url, file.path, file.size_bytes)),
-  ];
 }
 
 function metricTable(report: Report): HTMLElement[] {

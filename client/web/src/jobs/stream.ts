@@ -6,9 +6,9 @@ import { type Api, pause, Refused } from "../page/rest.js";
 export type StreamMessage = { readonly event: string; readonly id: string; readonly data: string };
 
 /** The server sends a comment every 15 s; a connection that is quiet for this long is dead. */
-export const silenceMs = 40_000;
+const silenceMs = 40_000;
 /** A timer this late means that the machine has slept, and that the connection is dead. */
-export const sleepMs = 15_000;
+const sleepMs = 15_000;
 const tickMs = 5_000;
 const firstPauseMs = 500;
 const longestPauseMs = 10_000;
@@ -88,15 +88,11 @@ class Connection {
   #tickAt = Date.now();
   /** Whether the machine has slept meanwhile. */
   slept = false;
+  readonly signal: AbortSignal;
 
   constructor(outer: AbortSignal) {
-    const { signal } = this.#controller;
-    outer.addEventListener("abort", () => this.#controller.abort(), { once: true, signal });
+    this.signal = AbortSignal.any([outer, this.#controller.signal]);
     this.#timer = setInterval(() => this.#look(), tickMs);
-  }
-
-  get signal(): AbortSignal {
-    return this.#controller.signal;
   }
 
   #look(): void {

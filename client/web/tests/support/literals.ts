@@ -7,47 +7,31 @@ export type Found = { readonly line: number; readonly text: string };
 
 type Node = { readonly type: string; readonly start: number; readonly [key: string]: unknown };
 
+const words = (text: string): string[] => text.trim().split(/\s+/);
+
 /** Attributes and properties that are read out or shown; any letters in them are a text. */
-const shownNames = new Set([
-  ...["textContent", "innerText", "title", "placeholder", "alt", "text", "message", "legend"],
-  ...[
-    "ariaLabel",
-    "ariaDescription",
-    "ariaValueText",
-    "ariaRoleDescription",
-    "aria-label",
-    "aria-description",
-  ],
-]);
+const shownNames = new Set(
+  words(`
+    textContent innerText title placeholder alt text message legend ariaLabel ariaDescription ariaValueText
+    ariaRoleDescription aria-label aria-description`),
+);
 /** Functions whose texts are shown, from this argument on; the first one of some is the name of an element. */
 const showing = new Map([
   ...["h", "make"].map((name) => [name, 1] as const),
   ...["button", "section", "fold", "setText", "append", "replaceChildren"].map((name) => [name, 0] as const),
 ]);
 /** Properties and attributes whose values are for the browser. */
-const forBrowser = new Set([
-  ...["class", "className", "style", "rel", "allow", "accept", "role", "type", "kind", "id", "for", "href"],
-  ...[
-    "tag",
-    "sandbox",
-    "cssText",
-    "filter",
-    "font",
-    "name",
-    "value",
-    "step",
-    "min",
-    "max",
-    "target",
-    "loading",
-  ],
-  ...["autocomplete", "spellcheck", "method", "decoding", "unitDisplay", "format", "preload"],
-]);
+const forBrowser = new Set(
+  words(`
+    class className style rel allow accept role type kind id for href tag sandbox cssText filter font name value step
+    min max target loading autocomplete spellcheck method decoding unitDisplay format preload`),
+);
 /** Calls whose texts are for programs, or for programmers. */
-const forPrograms = new Set([
-  ...["querySelector", "querySelectorAll", "closest", "matches", "matchMedia", "setProperty", "getContext"],
-  ...["DOMException", "addEventListener", "set", "get", "has", "includes", "startsWith", "on"],
-]);
+const forPrograms = new Set(
+  words(`
+    querySelector querySelectorAll closest matches matchMedia setProperty getContext DOMException addEventListener set
+    get has includes startsWith on`),
+);
 const twoWords = /\p{L}{2,}[,.;:!?]? \(?\p{L}/u;
 const aWord = /\p{L}{2,}/u;
 
@@ -160,7 +144,7 @@ function nameOf(node: unknown): string {
   return String(node.name ?? node.value ?? "");
 }
 
-/** Return the texts in the body and the title of a page that are no names of the catalogue (`%words.KEY%`). */
+/** Return the texts in the body and the title of a page that are not names of the catalogue (`%words.KEY%`). */
 export function textsIn(html: string): string[] {
   const text = html
     .replace(/<!--.*?-->|<(script|style)\b.*?<\/\1>/gs, "")
