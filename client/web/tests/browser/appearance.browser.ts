@@ -60,7 +60,7 @@ type State = {
   readonly world: World;
   /** Its address on the site. */
   readonly at: string;
-  /** What is there once all has come. */
+  /** What shows that everything has come. */
   readonly ready: string;
   /** Brings it into the state. */
   readonly act?: (page: Page) => Promise<unknown>;

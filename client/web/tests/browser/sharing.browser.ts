@@ -65,7 +65,7 @@ it("a bundle of the server is shared by a link with the view, which ends and is 
   expect(links).toEqual([]);
 });
 
-it("whoever is not logged in is told so", async () => {
+it("a visitor who is not logged in sees why there are no links", async () => {
   loggedIn = false;
   await open("/v1/bundles/bundle_1");
   await page.click("summary:text-is('Share')");

@@ -4,7 +4,7 @@ import type { Page, Route } from "playwright-core";
 import type { Artifact, Job, JobEvent, Progress, Scene, SceneReport, Schemas } from "../../src/page/rest.js";
 import { mask, photograph } from "./drawings.js";
 
-/** What there is on the server: nothing, everything, or nothing that this browser may see. */
+/** The contents of the server: nothing, everything, or nothing that this browser may see. */
 export type World = "empty" | "full" | "locked";
 
 const day = "2026-03-05T";
@@ -218,59 +218,51 @@ const log = Array.from({ length: 12 }, (_, index) => `10:00:${10 + index} joint 
   "\n",
 );
 
-/** Return the answer to a request as JSON, or undefined where there is none. */
-function answer(method: string, { pathname, searchParams }: URL, isEmpty: boolean): unknown {
+type Request = { readonly id: string; readonly given: URLSearchParams; readonly isEmpty: boolean };
+
+const page = (items: readonly unknown[], isEmpty = false) => ({
+  items: isEmpty ? [] : items,
+  next_cursor: null,
+});
+const find = <T extends { readonly id: string }>(list: readonly T[], id: string) =>
+  list.find((each) => each.id === id);
+
+function jobsOf(given: URLSearchParams): readonly Job[] {
+  const [words, scene, kind, state] = ["q", "scene", "kind", "state"].map((name) => given.get(name));
+  return jobs.filter(
+    (each) =>
+      each.scene_name.toLowerCase().includes((words ?? "").toLowerCase()) &&
+      (scene == null || each.scene_id === scene) &&
+      (kind == null || each.kind === kind) &&
+      (state == null || each.state === state),
+  );
+}
+
+/** What is answered as JSON. */
+const answers: Readonly<Record<string, (request: Request) => unknown>> = {
+  "GET jobs": ({ given, isEmpty }) => page(jobsOf(given), isEmpty),
+  "GET scenes": ({ isEmpty }) => page(scenes, isEmpty),
+  "GET bundles": ({ isEmpty }) => page([bundle], isEmpty),
+  "GET jobs/ID": ({ id }) => find(jobs, id),
+  "GET jobs/ID/events": ({ id, given }) =>
+    page(events(find(jobs, id)!).filter(({ seq }) => seq > Number(given.get("after")))),
+  "GET jobs/ID/artifacts": ({ id }) => page(artifacts[id] ?? []),
+  "GET scenes/ID": ({ id }) => find(scenes, id),
+  "GET scenes/ID/report": ({ id }) => report(find(scenes, id)!),
+  "GET presets": () => presets,
+  "GET notices": () => ({ drain: null, maintenance: null }),
+  "GET limits": () => ({ max_gpus: 0 }),
+  "GET bundles/ID": () => bundle,
+  "GET bundles/ID/shares": () => page([share]),
+  "GET blobs/ID": ({ id }) => ({ report: evaluation, preparation })[id],
+  "POST scenes": () => scene("scene_6", "Blue vase", "open", null),
+};
+
+/** Return the answer to a request as JSON, or undefined if there is none. */
+function answer(method: string, { pathname, searchParams: given }: URL, isEmpty: boolean): unknown {
   const [, , kind, id, part] = pathname.split("/");
-  const one = (list: readonly { readonly id: string }[]) => list.find((each) => each.id === id);
-  const found = one(jobs) as Job | undefined;
-  const page = (items: readonly unknown[]) => ({ items: isEmpty ? [] : items, next_cursor: null });
-  const wanted = `${method} ${[kind, id === undefined ? [] : ["ID"], part ?? []].flat().join("/")}`;
-  switch (wanted) {
-    case "GET jobs": {
-      const [words, of, sort, state] = ["q", "scene", "kind", "state"].map((name) => searchParams.get(name));
-      return page(
-        jobs.filter(
-          (each) =>
-            each.scene_name.toLowerCase().includes((words ?? "").toLowerCase()) &&
-            (of == null || each.scene_id === of) &&
-            (sort == null || each.kind === sort) &&
-            (state == null || each.state === state),
-        ),
-      );
-    }
-    case "GET scenes":
-      return page(scenes);
-    case "GET bundles":
-      return page([bundle]);
-    case "GET jobs/ID":
-      return found;
-    case "GET jobs/ID/events":
-      return {
-        items: events(found!).filter(({ seq }) => seq > Number(searchParams.get("after"))),
-        next_cursor: null,
-      };
-    case "GET jobs/ID/artifacts":
-      return { items: artifacts[id!] ?? [], next_cursor: null };
-    case "GET scenes/ID":
-      return one(scenes);
-    case "GET scenes/ID/report":
-      return report(one(scenes) as Scene);
-    case "GET presets":
-      return presets;
-    case "GET notices":
-      return { drain: null, maintenance: null };
-    case "GET limits":
-      return { max_gpus: 0 };
-    case "GET bundles/ID":
-      return bundle;
-    case "GET bundles/ID/shares":
-      return { items: [share], next_cursor: null };
-    case "GET blobs/ID":
-      return id === "report" ? evaluation : id === "preparation" ? preparation : undefined;
-    case "POST scenes":
-      return scene("scene_6", "Blue vase", "open", null);
-  }
-  return undefined;
+  const wanted = [kind, id === undefined ? [] : ["ID"], part ?? []].flat().join("/");
+  return answers[`${method} ${wanted}`]?.({ id: id ?? "", given, isEmpty });
 }
 
 /** A browser that has opened a one-time link. */
