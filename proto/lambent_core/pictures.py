@@ -62,6 +62,7 @@ Bounces = Annotated[
     BeforeValidator(_word),
 ]
 Occlusion = Literal["auto", "mesh", "cache"]
+Quality = Literal["preview", "baked", "refined"]
 ToneMapping = Literal["linear", "neutral", "aces", "agx"]
 Axes = Literal["blender", "threejs", "mitsuba", "skylibs"]
 Layout = Literal[
@@ -211,7 +212,7 @@ class RenderSettings(Wanted):
 
     model_config = ConfigDict(frozen=True)
 
-    quality: Literal["preview", "baked", "refined"] = "refined"
+    quality: Quality = "refined"
     """Baked transport (immediate, without noise) or Monte Carlo."""
     spp: Annotated[int, Field(ge=2, le=65536), WHOLE] = 64
     """Light directions per pixel."""

@@ -8,7 +8,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, Unpack, get_args
 
 import numpy as np
 from lambent_core.directions import normalise, rotate_about_z
@@ -33,7 +33,7 @@ from lambent_relight.refined.pixel_rays import PixelRays
 from lambent_relight.refined.sampling_plan import estimated
 from lambent_relight.refined.scattering import SurfacePoints
 from lambent_relight.refined.surroundings import CacheSurroundings
-from lambent_relight.settings import BACKGROUNDS, Colour, settled
+from lambent_relight.settings import BACKGROUNDS, Changes, Colour, settled
 from lambent_relight.views import View, look
 
 if TYPE_CHECKING:
@@ -130,22 +130,15 @@ class Renderer:
         rotate_deg: float = 0.0,
         object_rotate_deg: float = 0.0,
         edit: MaterialEdit | None = None,
-        albedo_ratio: ArrayLike | None = None,
-        background: Background | None = None,
-        soft_edges: bool = True,
         progress: Callable[[float], None] | None = None,
-        **changes: Any,
+        **changes: Unpack[Changes],
     ) -> RelitPicture:
         """Return the bundle's object as `camera` sees it in the light of `environment`, linear.
 
         The environment may also be an array [height, width, 3] of linear radiance, or the path of a map; for
-        many pictures in one light make it once. `changes` are fields of `settings`, such as `quality="baked"`
-        or `spp=256`; exposure and tone mapping are for screens and have no effect here. `rotate_deg` turns
-        the light about +z, `object_rotate_deg` the object, not its light. `edit` changes the material.
-        `albedo_ratio` (one or three factors on the stored albedo, result clipped to [0, 1]) defaults to the
-        manifest's `albedo_scale_rgb`. `background` may also be a linear colour. Without `soft_edges` the mesh
-        alone draws the outline of a `baked` picture: for a camera that moves. `progress` is called with the
-        finished fraction.
+        many pictures in one light make it once. `changes` go over `settings`, such as `quality="baked"` or
+        `spp=256`. `rotate_deg` turns the light about +z, `object_rotate_deg` the object, not its light.
+        `edit` changes the material. `progress` is called with the finished fraction.
 
         Refined pictures spend `spp` light directions on every covered pixel, shared by its rays (two each at
         least); with `until_stderr` up to 64 times as many, where they help. `bounces` says where bounced
@@ -164,11 +157,13 @@ class Renderer:
             raise SettingError(
                 "relight.argument", "progress is not a function", "give one of the fraction done"
             )
-        if isinstance(background, str):
-            changes["background"] = background
+        soft_edges, ratio = changes.pop("soft_edges", True), changes.pop("albedo_ratio", None)
+        behind = changes.pop("background", None)
+        if isinstance(behind, str):
+            changes["background"] = behind
         settings = settled(settings, **changes)
-        behind = background if background is not None else settings.background
-        edit = _combined(self.bundle, edit or MaterialEdit(), albedo_ratio)
+        behind = settings.background if behind is None else behind
+        edit = _combined(self.bundle, edit or MaterialEdit(), ratio)
         seen_from, turned = _turned(camera, environment, rotate_deg, object_rotate_deg)
         if settings.quality == "refined":
             picture = self._refined(seen_from, turned, edit, settings, progress)

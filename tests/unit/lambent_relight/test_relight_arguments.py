@@ -27,6 +27,7 @@ from lambent_relight import (
     write_png,
 )
 from lambent_relight.arguments import array, number, whole
+from lambent_relight.settings import Changes
 from support.analytic_bundle import write_analytic_bundle
 from support.analytic_scene import AnalyticScene, Sphere
 
@@ -102,6 +103,10 @@ def test_a_wrong_argument_is_an_error_of_ours_that_names_it(call, kind, tmp_path
     assert raised.value.message
     assert raised.value.advice
     assert not list(tmp_path.iterdir())
+
+
+def test_every_setting_may_be_given_by_name():
+    assert set(Changes.__annotations__) - {"albedo_ratio", "soft_edges"} == set(RenderSettings.model_fields)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from lambent_core.colour import srgb_from_linear
 from lambent_core.directions import pixel_directions
+from lambent_core.pictures import Quality
 from lambent_proto.v1 import bundle_pb2
 from lambent_relight.bundle.archive import open_source
 from lambent_relight.bundle.bundle import Bundle
@@ -41,7 +42,7 @@ def judge_qualities(
     figures: dict[str, float] = {}
     small = [_reduced(camera) for camera in cameras]
     for name, light in judging_lights(trained).items():
-        compared: dict[str, list[tuple[float, float]]] = {"baked": [], "preview": []}
+        compared: dict[Quality, list[tuple[float, float]]] = {"baked": [], "preview": []}
         for camera in small:
             refined = renderer.render(camera, light, spp=num_samples, seed=seed)
             for quality, values in compared.items():
