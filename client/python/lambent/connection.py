@@ -5,6 +5,7 @@ import random
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -79,18 +80,10 @@ class Connection:
         self, url: str, headers: Mapping[str, str], source: Path, offset: int, size_bytes: int
     ) -> int:
         """Send a range of a file to an address of the store and return the status of the answer."""
-
-        def pieces() -> Iterator[bytes]:
-            left = size_bytes
-            with source.open("rb") as file:
-                file.seek(offset)
-                while piece := file.read(min(PIECE_BYTES, left)):
-                    yield piece
-                    left -= len(piece)
-
         sent = {**headers, "Content-Length": str(size_bytes), "Content-Type": "application/octet-stream"}
+        content = _pieces(source, offset, size_bytes)
         try:
-            return self._store_client().put(url, content=pieces(), headers=sent).status_code
+            return self._store_client().put(url, content=content, headers=sent).status_code
         except httpx2.TransportError as error:
             raise _store_unreachable(url, error) from error
 
@@ -169,20 +162,13 @@ class Connection:
         source: Path,
         *,
         media_type: str = "application/octet-stream",
-        advance: Callable[[int], None] = lambda sent_bytes: None,
+        advance: Callable[[int], None] | None = None,
         **request: Any,
     ) -> Any:
         """Return `json` of a request whose body is a file; `advance` is called with the bytes sent."""
-
-        def pieces() -> Iterator[bytes]:
-            sent_bytes = 0
-            with source.open("rb") as file:
-                while piece := file.read(PIECE_BYTES):
-                    yield piece
-                    sent_bytes += len(piece)
-                    advance(sent_bytes)
-
-        headers = {"Content-Length": str(source.stat().st_size), "Content-Type": media_type}
+        size_bytes = source.stat().st_size
+        headers = {"Content-Length": str(size_bytes), "Content-Type": media_type}
+        pieces = partial(_pieces, source, 0, size_bytes, advance)
         return self.json(method, path, make_content=pieces, headers=headers, **request)
 
     def _read_from_store(self, redirect: httpx2.Response) -> httpx2.Response:
@@ -238,6 +224,20 @@ class Connection:
         except httpx2.TransportError:
             return None
         return response if response.status_code in (200, 206) else None
+
+
+def _pieces(
+    source: Path, offset: int, size_bytes: int, advance: Callable[[int], None] | None = None
+) -> Iterator[bytes]:
+    """Yield a range of a file, and call `advance` with the bytes that were sent."""
+    sent_bytes = 0
+    with source.open("rb") as file:
+        file.seek(offset)
+        while piece := file.read(min(PIECE_BYTES, size_bytes - sent_bytes)):
+            yield piece
+            sent_bytes += len(piece)
+            if advance is not None:
+                advance(sent_bytes)
 
 
 def pause_s(attempt: int, retry_after: str | None = None) -> float:

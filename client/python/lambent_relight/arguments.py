@@ -27,21 +27,21 @@ def refusal(code: str = "relight.argument", kind: type[RelightError] = SettingEr
     return lambda what, advice: kind(code, what, advice)
 
 
-def instance(
-    value: object, kind: type[Kind], name: str, advice: str, *, refuse: Refusal | None = None
-) -> Kind:
+REFUSAL = refusal()
+"""What is raised where a caller names no other error."""
+
+
+def instance(value: object, kind: type[Kind], name: str, advice: str, *, refuse: Refusal = REFUSAL) -> Kind:
     """Return `value`, which has to be of a class; `advice` says how to get one."""
     if not isinstance(value, kind):
-        raise (refuse or refusal())(f"{name} is not a {kind.__name__} but {_described(value)}", advice)
+        raise refuse(f"{name} is not a {kind.__name__} but {_described(value)}", advice)
     return value
 
 
-def file_path(value: object, name: str, *, refuse: Refusal | None = None) -> Path:
+def file_path(value: object, name: str, *, refuse: Refusal = REFUSAL) -> Path:
     """Return the path that a string or a path object names."""
     if not isinstance(value, (str, os.PathLike)) or isinstance(os.fspath(value), bytes):
-        raise (refuse or refusal())(
-            f"{name} is not a path but {_described(value)}", "give a string or a Path"
-        )
+        raise refuse(f"{name} is not a path but {_described(value)}", "give a string or a Path")
     return Path(value)
 
 
@@ -51,10 +51,9 @@ def number(
     *,
     above: float = -math.inf,
     below: float = math.inf,
-    refuse: Refusal | None = None,
+    refuse: Refusal = REFUSAL,
 ) -> float:
     """Return a finite number between two exclusive bounds."""
-    refuse = refuse or refusal()
     if isinstance(value, (bool, np.bool_, str, bytes)) or not is_single(value):
         raise refuse(f"{name} is not a number but {_described(value)}", "give one number")
     try:
@@ -68,9 +67,7 @@ def number(
     return result
 
 
-def whole(
-    value: object, name: str, least: int, most: int | None = None, *, refuse: Refusal | None = None
-) -> int:
+def whole(value: object, name: str, least: int, most: int | None = None, *, refuse: Refusal = REFUSAL) -> int:
     """Return a whole number from `least` to `most`, both included."""
     expected = f"from {least}" + ("" if most is None else f" to {most}")
     advice = f"give a whole number {expected}"
@@ -79,11 +76,9 @@ def whole(
             raise TypeError
         result = operator.index(value)  # type: ignore[arg-type]
     except TypeError as error:
-        raise (refuse or refusal())(
-            f"{name} is not a whole number but {_described(value)}", advice
-        ) from error
+        raise refuse(f"{name} is not a whole number but {_described(value)}", advice) from error
     if result < least or (most is not None and result > most):
-        raise (refuse or refusal())(f"{name} is {result}", advice)
+        raise refuse(f"{name} is {result}", advice)
     return result
 
 
@@ -95,20 +90,19 @@ def is_single(value: object) -> bool:
         return False
 
 
-def colour(value: object, name: str, *, refuse: Refusal | None = None) -> tuple[float, float, float]:
+def colour(value: object, name: str, *, refuse: Refusal = REFUSAL) -> tuple[float, float, float]:
     """Return three finite numbers; a single one, also in a list, stands for all of them."""
     given = array(value, () if is_single(value) else (None,), name, refuse=refuse)
     if given.size not in (1, 3):
-        raise (refuse or refusal())(f"{name} has {given.size} entries", "give one or three numbers")
+        raise refuse(f"{name} has {given.size} entries", "give one or three numbers")
     red, green, blue = np.broadcast_to(given, (3,)).tolist()
     return red, green, blue
 
 
 def array(
-    value: object, shape: tuple[int | None, ...], name: str, *, refuse: Refusal | None = None
+    value: object, shape: tuple[int | None, ...], name: str, *, refuse: Refusal = REFUSAL
 ) -> NDArray[np.float64]:
     """Return finite numbers of a shape, in which None stands for any size, as a new array."""
-    refuse = refuse or refusal()
     words = "[" + ", ".join("n" if size is None else str(size) for size in shape) + "]"
     advice = f"give finite numbers of shape {words}"
     try:
