@@ -275,7 +275,7 @@ describe.each(Object.keys(sizes) as SizeName[])("on a %s", (size) => {
     expect(wrong).toEqual([]);
   });
 
-  it("the viewer looks as ever with a bundle", async () => {
+  it("the viewer looks as ever with a bundle", { timeout: 400_000 }, async () => {
     const page = await openViewer(context, "v1/bundles/bundle_1");
     const wrong: string[] = [];
     const look = async (name: string): Promise<void> => {

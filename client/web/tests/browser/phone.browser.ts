@@ -58,6 +58,8 @@ async function fingers(way: (share: number) => readonly Point[], steps = 5): Pro
 }
 const state = () => stateOf(page);
 const update = (part: object) => change(page, part);
+/** Wait until nothing is drawn for three seconds. */
+const rest = () => expect.poll(() => drawnIn(page, 3000), { timeout: 90_000 }).toBe(0);
 
 beforeAll(async () => {
   const context = await browser.newContext({
@@ -138,13 +140,11 @@ describe("on a phone", () => {
   });
 
   it("nothing is drawn while nothing changes, with the sheet open or shut", async () => {
-    await soon(() => drawnIn(page, 1500)).toBe(0);
-    expect(await drawnIn(page, 1500)).toBe(0);
+    await rest();
     const bar = await boxOf(".panel > summary");
     await page.touchscreen.tap(100, 0.5 * (bar.top + bar.bottom));
     await soon(isOpen).toBe(true);
-    await soon(() => drawnIn(page, 1500)).toBe(0);
-    expect(await drawnIn(page, 1500)).toBe(0);
+    await rest();
   });
 
   it("a tap on a light chooses it, and the row is swiped to the others", async () => {
