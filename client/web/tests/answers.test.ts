@@ -8,7 +8,7 @@ const other = new URL("https://cdn.example/chair/manifest.json");
 
 afterEach(() => vi.unstubAllGlobals());
 
-describe("an answer that is no bundle", () => {
+describe("an answer that is not a bundle", () => {
   it.each([
     [401, "bundle.login_needed", "one-time link"],
     [403, "bundle.forbidden", "share link"],

@@ -339,7 +339,7 @@ describe("what does not fit into memory", () => {
     }
   };
 
-  it("is told as that, of bundles and of maps", () => {
+  it("is reported with its code and message, of bundles and of maps", () => {
     expect(toldOf(unfit(), "bundle", "full")).toEqual({ code: "bundle.memory", message: "full" });
     expect(toldOf(new TypeError("x"), "bundle", "full")).toEqual({ code: "bundle.failed", message: "x" });
     const fault = new MapFault("environment.x", "what; advice");

@@ -29,7 +29,7 @@ describe("the turn of a light that nobody has turned", () => {
     expect(turnedFor(both, built, home)).toBe(both);
   });
 
-  it("is left out of an address, and one that somebody chose is not, even if it is none", () => {
+  it("is left out of an address, and one that a user chose is not, even if it is none", () => {
     expect(toParameters(initialState).has("rotate")).toBe(false);
     const unturned = { ...initialState, turn: { ...initialState.turn } };
     expect(toParameters(unturned).get("rotate")).toBe("0,0,0");
@@ -79,7 +79,7 @@ describe("the turn until the first input", () => {
   });
   afterEach(() => vi.unstubAllGlobals());
 
-  /** Return a viewer that has just opened a bundle, what was told of motion, and its page. */
+  /** Return a viewer that has just opened a bundle, the reported motion, and its page. */
   function opened(change: Partial<ViewerState> = {}) {
     const heard = new Map<string, () => void>();
     const viewer = {
@@ -119,7 +119,7 @@ describe("the turn until the first input", () => {
     expect(told).toEqual([true, false]);
   });
 
-  it("goes on from where a page in the background was left", () => {
+  it("continues where a page in the background was left", () => {
     const { viewer } = opened();
     pass(1, 16);
     pass(1, 60_000);

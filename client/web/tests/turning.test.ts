@@ -52,7 +52,7 @@ describe("turning the light about an axis", () => {
       expect(value).toBeCloseTo(axis[index]!, 9);
     });
   });
-  it("goes on where yaw and roll are one turn", () => {
+  it("continues where yaw and roll are one turn", () => {
     const level = { yawDeg: 0, pitchDeg: 0, rollDeg: 0, intensity: 1 };
     const up = turnedAbout(level, [0, 1, 0], 90);
     expect(up.pitchDeg).toBeCloseTo(90, 6);

@@ -87,7 +87,7 @@ describe("the page's address", () => {
 });
 
 describe("what a link cannot carry", () => {
-  it("is told in a sentence", () => {
+  it("is described in a sentence", () => {
     expect(missingText({ bundle: false, maps: [] })).toBe("");
     expect(missingText({ bundle: true, maps: [] })).toBe(
       "It does not include the object, which is on this computer only.",

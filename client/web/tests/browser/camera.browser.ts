@@ -33,7 +33,7 @@ describe("the camera", () => {
     expect(dragged.pose.elevationDeg).toBeCloseTo(before.pose.elevationDeg + 14, 3);
     await page.keyboard.press("ArrowLeft");
     expect((await state()).pose.azimuthDeg).toBeCloseTo(dragged.pose.azimuthDeg - 5, 6);
-    // The hand goes on from where the keys have left it.
+    // The hand continues where the keys have left it.
     await page.mouse.move(100, 180);
     await page.mouse.down();
     await page.mouse.move(110, 180);
@@ -163,7 +163,7 @@ describe("the camera", () => {
 });
 
 describe("a camera with inertia", () => {
-  it("goes on for a moment, comes to rest, and is undone in one step", async () => {
+  it("continues for a moment, comes to rest, and is undone in one step", async () => {
     const [context, moving] = await open();
     const before = await state(moving);
     await moving.mouse.move(100, 180);

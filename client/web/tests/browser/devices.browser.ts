@@ -150,7 +150,7 @@ describe("on a telephone", () => {
 });
 
 describe("a graphics card that is taken away", () => {
-  it("is told, and when it comes back everything is drawn as before", async () => {
+  it("is reported, and when it comes back everything is drawn as before", async () => {
     const page = await openViewer(
       browser,
       { ...fixedView, env: "preset:sky", ground: "1", background: "transparent" },
@@ -211,7 +211,7 @@ describe("a card without targets of full floats, as in telephones", () => {
 });
 
 describe("a card without memory", () => {
-  it("is told, with what to do", async () => {
+  it("is reported, with what to do", async () => {
     const context = await browser.newContext({ viewport: small });
     await context.addInitScript(() => {
       let times = 0;
@@ -283,7 +283,7 @@ describe("a card with small textures", () => {
     await context.close();
   });
 
-  it("is told that the bundle's tables do not fit, with what to do", async () => {
+  it("says that the bundle's tables do not fit, and what to do", async () => {
     const context = await browser.newContext({ viewport: small });
     await context.addInitScript(() => {
       const prototype = WebGL2RenderingContext.prototype;

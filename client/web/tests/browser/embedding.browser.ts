@@ -12,7 +12,7 @@ const warnings: string[] = [];
 
 afterEach(() => closePages(browser));
 
-/** Open a page of somebody else with some elements. */
+/** Open another site's page with some elements. */
 async function open(
   parameters: Record<string, string>,
   viewport = { width: 800, height: 600 },
@@ -82,7 +82,7 @@ describe("twelve elements on a page", () => {
     expect(warnings.filter((text) => /context/i.test(text))).toEqual([]);
   });
 
-  it("that rest keep their picture and their state, and go on from there", async () => {
+  it("that rest keep their picture and their state, and continue from there", async () => {
     const page = await open({ count: "9" });
     await allShown(page);
     await page.evaluate(async () => {
@@ -139,7 +139,7 @@ describe("an element that shows dropped files", () => {
 });
 
 describe("an element that works in a dialog", () => {
-  it("goes on drawing while others would like its context", { timeout: 300_000 }, async () => {
+  it("continues to draw while others would like its context", { timeout: 300_000 }, async () => {
     const page = await open({ count: String(mostSeats + 1), controls: "" });
     await allShown(page);
     const first = page.locator("lambent-viewer").first();
@@ -183,7 +183,7 @@ describe("an element that works in a dialog", () => {
   });
 });
 
-describe("an element on a page of somebody else", () => {
+describe("an element on another site's page", () => {
   it("lets the page be seen behind the object, and has a pattern there on its own page", async () => {
     const page = await open({ count: "1", state: "env=preset:even&background=transparent&rotate=0,0,0" });
     await page.evaluate(() => document.querySelector("lambent-viewer")!.ready);

@@ -88,13 +88,13 @@ describe("while a bundle is read", () => {
     const total = (values: number[]): number => values.reduce((sum, value) => sum + value, 0);
     expect(total(files.map(([, bytes]) => bytes))).toBeLessThan(0.9 * total(sizes));
     await site.close();
-    // As it is where all was there at once.
+    // As if everything had come at once.
     const other = await openViewer(browser, look, "data/bundle.relight.zip");
     expect(meanDifference(await pictureOf(other, size), whole)).toBe(0);
     await other.close();
   });
 
-  it("a host's problem is told, and trying again helps once it is over", async () => {
+  it("a host's problem is shown, and trying again helps once it is over", async () => {
     let status = 503;
     page = await openWith(async () => status);
     await page.waitForSelector(".welcome h1:text-is('This bundle cannot be shown')");
