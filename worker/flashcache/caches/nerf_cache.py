@@ -109,11 +109,12 @@ class Meeting(NamedTuple):
 
 
 class _Met(NamedTuple):
-    """As `Meeting`."""
+    """As `Meeting`, with distances in place of positions, which need not be known for all points."""
 
     opacity: Tensor
     distance: Tensor
-    positions: Tensor
+    middles: Float[Tensor, "rays repeats"]
+    """Distance of each point from the origin of its ray."""
     hidden: Tensor | None
     """None where compiled code sampled the rays, which keeps no features."""
     factors: Tensor
@@ -274,20 +275,22 @@ class NerfCache(nn.Module):
         num_colours = self.config.secondary_colours if generator is not None else 0
         sure_from = self.config.secondary_sure_opacity if num_colours else 0.0
         met = self._meet(rays, num_colours, generator, jitter=jitter, sure_from=sure_from)
-        repeats, num_points = met.factors.shape[-1], len(met.positions)
-        rows = Rows.all(num_points, met.positions.device)
+        repeats, num_points = met.factors.shape[-1], met.factors.numel()
+        rows = Rows.all(num_points, met.factors.device)
         if met.hidden is None or sure_from:
             least = NEGLIGIBLE if met.hidden is None else 0.0
             rows = Rows.where(met.factors.detach().reshape(-1) > least)
-        point = rows.of(torch.arange(num_points, device=met.positions.device))
+        point = rows.of(torch.arange(num_points, device=met.factors.device))
         ray = point.div(repeats, rounding_mode="floor")
-        positions = rows.of(met.positions)
+        directions = rays.directions[ray]
+        positions = rays.origins[ray] + rows.of(met.middles.reshape(-1))[:, None] * directions
         hidden = self.density(positions).hidden if met.hidden is None else rows.of(met.hidden)
-        sent = self.appearance(
-            positions, hidden, self.normals(positions, hidden), -rays.directions[ray], light_index[ray]
-        ).radiance
-        radiance = rows.into(torch.zeros_like(met.positions), sent).reshape(len(rays), repeats, 3)
-        near = (met.factors[..., None] * radiance).sum(dim=1)
+        normal = self.normals(positions, hidden)
+        radiance = self.appearance(positions, hidden, normal, -directions, light_index[ray]).radiance
+        sent = rows.of(met.factors.reshape(-1))[:, None] * radiance
+        near = (
+            rows.into(rays.origins.new_zeros(num_points, 3), sent).reshape(len(rays), repeats, 3).sum(dim=1)
+        )
         return CacheAnswer(near, met.opacity, met.distance)
 
     def meet(
@@ -300,9 +303,10 @@ class NerfCache(nn.Module):
         """
         narrow = rays if self.occupancy is None else self.occupancy.narrowed(rays)
         met = self._meet(narrow, num_points, generator, jitter=jitter)
-        hidden = self.density(met.positions).hidden if met.hidden is None else met.hidden
+        positions = rays.at(met.middles).reshape(-1, 3)
+        hidden = self.density(positions).hidden if met.hidden is None else met.hidden
         distance = torch.where(met.opacity < 1e-3, rays.far, met.distance)
-        return Meeting(met.opacity, distance, met.positions, hidden, met.factors)
+        return Meeting(met.opacity, distance, positions, hidden, met.factors)
 
     def _meet(
         self,
@@ -315,25 +319,25 @@ class NerfCache(nn.Module):
     ) -> _Met:
         # Compiled code samples secondary rays where no gradients are recorded and intervals are not moved.
         if not jitter and dispatch.answers_compiled(rays.origins, rays.near, self.density.grid.table):
-            weights, middles = self._sample_compiled(rays)
-            points, hidden = rays.at(middles).reshape(-1, 3), None
+            (weights, middles), hidden = self._sample_compiled(rays), None
         else:
             counts, exponent = self.config.secondary_counts, self.config.exponent
             jittered = generator if jitter else None
             samples = self.sample(rays, counts, SECONDARY_CURVE, exponent=exponent, generator=jittered)
-            points, middles = samples.positions.reshape(-1, 3), midpoints(samples.distances)
-            density, hidden = self.density(points)
+            middles = midpoints(samples.distances)
+            density, hidden = self.density(samples.positions.reshape(-1, 3))
             weights = render_weights(density.reshape(middles.shape), samples.distances)
         opacity = weights.sum(dim=-1)
         distance = (weights * middles).sum(dim=-1) / opacity.clamp_min(1e-3)
         distance = torch.where(opacity < 1e-3, rays.far, distance)
         if not num_points:
-            return _Met(opacity, distance, points, hidden, weights)
+            return _Met(opacity, distance, middles, hidden, weights)
         u = uniform((len(rays), num_points), generator, weights.device)
         draw = draw_points(weights, u, sure_from=sure_from)
-        first = weights.shape[1] * torch.arange(len(rays), device=u.device)
-        flat = (draw.index + first[:, None]).reshape(-1)
-        return _Met(opacity, distance, points[flat], None if hidden is None else hidden[flat], draw.weight)
+        if hidden is not None:
+            first = weights.shape[1] * torch.arange(len(rays), device=u.device)
+            hidden = hidden[(draw.index + first[:, None]).reshape(-1)]
+        return _Met(opacity, distance, middles.gather(-1, draw.index), hidden, draw.weight)
 
     def _sample_compiled(self, rays: Rays) -> tuple[Float[Tensor, "rays samples"], ...]:
         """Return render weights and middles of the final intervals of secondary rays, without jitter."""
