@@ -287,7 +287,7 @@ async def _serve(site: Site, on_ready: Callable[[Ready], None]) -> None:
     reconciler = Reconciler(services, lambda: membership.leads)
     compressor, scrubber = (kind(services, lambda: membership.leads) for kind in (Compressor, Scrubber))
     copier, sender = LogCopier(services, membership), Sender(services, lambda: membership.leads)
-    for thread in (controller, reconciler, compressor, scrubber, copier, sender):
+    for thread in (controller, reconciler, compressor.rounds, scrubber.rounds, copier, sender):
         thread.start()
     state.controller, state.reconciler = controller, reconciler
     server, watching = _listen(site)
@@ -306,8 +306,8 @@ async def _serve(site: Site, on_ready: Callable[[Ready], None]) -> None:
     await asyncio.to_thread(sender.close)
     # Run processes that are asked to stop still commit their checkpoint, so their service stops after them.
     await asyncio.to_thread(controller.close, stop_runs=interrupted)
-    for close in (compressor.close, scrubber.close, copier.close, reconciler.close, membership.close):
-        await asyncio.to_thread(close)
+    for part in (compressor.rounds, scrubber.rounds, copier, reconciler, membership):
+        await asyncio.to_thread(part.close)
     server.stop()
     with contextlib.suppress(TimeoutError):
         await asyncio.wait_for(serving, settings.shutdown_grace_s / 4)

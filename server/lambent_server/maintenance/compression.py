@@ -4,7 +4,6 @@ A copy is complete and on the disk before a row names it, and goes with its blob
 """
 
 import tempfile
-import threading
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -12,14 +11,13 @@ from typing import Any
 
 import structlog
 from sqlalchemy import func, select, update
-from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server.api.problems import Problem
 from lambent_server.cluster import claims
 from lambent_server.database.schema import bundle_files
 from lambent_server.database.tenancy import across_tenants
 from lambent_server.services import Services
-from lambent_server.storage.outages import report
+from lambent_server.storage.outages import TICK_S, Rounds
 from lambent_server.storage.store import LOST
 
 log = structlog.get_logger()
@@ -27,14 +25,9 @@ log = structlog.get_logger()
 LEVEL = 6
 MOST_SHARE = 0.95
 """A copy that is larger than this share of its file is not kept."""
-TICK_S = 60.0
 _BATCH = 64
 _GZIP = 31
 """Window of 32 KiB, with the header and the checksum of gzip; zlib's default adds its own instead."""
-
-
-class Stopped(Exception):  # noqa: N818 (an answer, not a mistake)
-    """The server ends."""
 
 
 class Compressor:
@@ -43,37 +36,16 @@ class Compressor:
     def __init__(self, services: Services, leads: Callable[[], bool]) -> None:
         self._services = services
         self._leads = leads
-        self._stopping = threading.Event()
-        self._wake = threading.Event()
-        self._thread = threading.Thread(target=self._loop, name="compressor", daemon=True)
-        services.wakeups.listen(self._wake.set)
+        self.rounds = Rounds("compression", self._round)
+        services.wakeups.listen(self.rounds.wake)
 
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop; a copy that is not complete is thrown away."""
-        self._stopping.set()
-        self._wake.set()
-        self._thread.join(timeout=5)
-
-    def _loop(self) -> None:
-        while not self._stopping.is_set():
-            try:
-                # Only one of several servers on a database, so that nothing is compressed twice.
-                if self._leads():
-                    self.turn()
-            except Stopped:
-                return
-            except (SQLAlchemyError, OSError) as error:
-                # The database or the store is unavailable, or the disk full; the next round finds the same.
-                report("compression_failed", error)
-                self._stopping.wait(TICK_S)
-            self._wake.wait(TICK_S)
-            # Signals come in bursts.
-            self._stopping.wait(1.0)
-            self._wake.clear()
+    def _round(self) -> float:
+        # Signals come in bursts.
+        self.rounds.pause(1.0)
+        # Only one of several servers on a database, so that nothing is compressed twice.
+        if self._leads():
+            self.turn()
+        return TICK_S
 
     def turn(self) -> int:
         """Decide about every file of a bundle that is not known yet; return the number of copies made."""
@@ -114,8 +86,7 @@ class Compressor:
     def _compress(self, sha256: str, size_bytes: int, file: Any) -> int:
         packer = zlib.compressobj(LEVEL, zlib.DEFLATED, _GZIP)
         for piece in self._services.store.read(sha256, size_bytes):
-            if self._stopping.is_set():
-                raise Stopped
+            self.rounds.pause()
             file.write(packer.compress(piece))
         file.write(packer.flush())
         return int(file.tell())

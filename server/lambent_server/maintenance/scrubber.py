@@ -1,12 +1,10 @@
 """A slow reader of everything in the store, which finds damaged bytes before they are needed."""
 
-import threading
 import time
 from collections.abc import Callable, Sequence
 
 import structlog
 from sqlalchemy import func, select, update
-from sqlalchemy.exc import SQLAlchemyError
 
 from lambent_server.cluster.claims import KEPT
 from lambent_server.core.clock import now
@@ -14,11 +12,10 @@ from lambent_server.database.cluster_schema import blob_claims
 from lambent_server.database.schema import blobs
 from lambent_server.services import Services
 from lambent_server.storage.content_checks import BLOBS, GZIP
-from lambent_server.storage.outages import report
+from lambent_server.storage.outages import TICK_S, Rounds, Stopped
 
 log = structlog.get_logger()
 
-TICK_S = 60.0
 AT_ONCE = 100
 _LEAST_SLEEP_S = 0.02
 
@@ -32,35 +29,13 @@ class Scrubber:
     def __init__(self, services: Services, leads: Callable[[], bool]) -> None:
         self._services = services
         self._leads = leads
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._loop, name="scrubber", daemon=True)
         self._debt_s = 0.0
+        self.rounds = Rounds("scrub", self._round)
 
-    def start(self) -> None:
-        """Start the thread, unless the rate is 0."""
-        if self._services.settings.scrub_bytes_per_s:
-            self._thread.start()
-
-    def close(self) -> None:
-        """Stop, also in the middle of a file."""
-        self._stopping.set()
-        if self._thread.is_alive():
-            self._thread.join(timeout=5)
-
-    def _loop(self) -> None:
-        while not self._stopping.is_set():
-            checked: Sequence[tuple[str, int]] = ()
-            try:
-                if self._leads():
-                    checked = self.turn()
-            except _EndedError:
-                return
-            except (SQLAlchemyError, OSError) as error:
-                # The database or the store is unavailable; the same blobs are due in the next round.
-                report("scrub_failed", error)
-                checked = ()
-            if not checked:
-                self._stopping.wait(TICK_S)
+    def _round(self) -> float:
+        if not self._services.settings.scrub_bytes_per_s:
+            raise Stopped
+        return 0.0 if self._leads() and self.turn() else TICK_S
 
     def turn(self) -> Sequence[tuple[str, int]]:
         """Check some blobs that are due, and return their hashes and sizes."""
@@ -82,13 +57,8 @@ class Scrubber:
         self._debt_s += num_bytes / self._services.settings.scrub_bytes_per_s
         if self._debt_s >= _LEAST_SLEEP_S:
             began = time.monotonic()
-            if self._stopping.wait(self._debt_s):
-                raise _EndedError
+            self.rounds.pause(self._debt_s)
             self._debt_s = max(self._debt_s - (time.monotonic() - began), 0.0)
-
-
-class _EndedError(Exception):
-    """The server ends."""
 
 
 def due(services: Services) -> Sequence[tuple[str, int]]:

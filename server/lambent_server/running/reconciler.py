@@ -1,7 +1,6 @@
 """Repair after crashes and disk failures: bytes without a database row, and rows whose bytes are gone."""
 
 import shutil
-import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -22,12 +21,11 @@ from lambent_server.maintenance.housekeeping import REFERENCES
 from lambent_server.receiving.direct import FOLDER
 from lambent_server.services import Services
 from lambent_server.storage.content_checks import GZIP
-from lambent_server.storage.outages import report
+from lambent_server.storage.outages import TICK_S, Rounds, report
 from lambent_server.storage.store import LOST, discard, file_time
 
 log = structlog.get_logger()
 
-TICK_S = 60.0
 _PREFIXES = tuple(f"{number:02x}" for number in range(256))
 _FOLDERS_AT_ONCE = 500
 _EXAMPLES = 10
@@ -44,42 +42,33 @@ class Reconciler:
     def __init__(self, services: Services, leads: Callable[[], bool] = lambda: True) -> None:
         self._services = services
         self._leads = leads
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._loop, name="reconciler", daemon=True)
+        self._rounds = Rounds("reconcile", self._round)
+        self._looked_at = float("-inf")
+        self.start = self._rounds.start
         self.num_missing = 0
         """Blobs that rows name and whose bytes are gone or not whole."""
 
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
     def close(self) -> None:
         """Stop, and store when keys were last used."""
-        self._stopping.set()
-        self._thread.join(timeout=1)
+        self._rounds.close(1.0)
+        try:
+            note_key_uses(self._services)
+        except (SQLAlchemyError, OSError) as error:
+            report("reconcile_failed", error)
 
-    def _loop(self) -> None:
-        looked_at = float("-inf")
-        while True:
-            stopping = self._stopping.is_set()
-            try:
-                note_key_uses(self._services)
-                if not stopping and time.monotonic() - looked_at >= self._services.settings.reconcile_s:
-                    looked_at = time.monotonic()
-                    self._services.database.analyze()
-                    if self._leads():
-                        retention.enforce(self._services)
-                        self.num_missing = reconcile(self._services)
-                    else:
-                        self.num_missing = 0
-                        retention.enforce(self._services, only_logs=True)
-                        remove_folders(self._services)
-            except (SQLAlchemyError, OSError) as error:
-                # The database or the disk is unavailable; the next round finds the same.
-                report("reconcile_failed", error)
-            if stopping:
-                return
-            self._stopping.wait(TICK_S)
+    def _round(self) -> float:
+        note_key_uses(self._services)
+        if time.monotonic() - self._looked_at >= self._services.settings.reconcile_s:
+            self._looked_at = time.monotonic()
+            self._services.database.analyze()
+            if self._leads():
+                retention.enforce(self._services)
+                self.num_missing = reconcile(self._services)
+            else:
+                self.num_missing = 0
+                retention.enforce(self._services, only_logs=True)
+                remove_folders(self._services)
+        return TICK_S
 
 
 def note_key_uses(services: Services) -> None:

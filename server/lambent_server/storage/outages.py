@@ -1,9 +1,11 @@
-"""Errors that say that the database or the store takes no changes just now, and will later."""
+"""Errors that say that the database or the store takes no changes just now, and work that outlives them."""
 
 import errno
+import threading
+from collections.abc import Callable
 
 import structlog
-from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError, PendingRollbackError
+from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError, PendingRollbackError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
 from lambent_server.api.problems import Problem
@@ -13,6 +15,8 @@ from lambent_server.storage.s3 import StoreUnavailableError
 log = structlog.get_logger()
 
 RETRY_AFTER_S = 5
+TICK_S = 60.0
+"""Time between two rounds of most work that is never done."""
 _DATABASE = (OperationalError, InterfaceError, PendingRollbackError, PoolTimeoutError)
 _DISK = frozenset({errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENOSPC, errno.EDQUOT})
 
@@ -42,3 +46,49 @@ def report(event: str, error: Exception) -> None:
 
 def _later(code: str, detail: str) -> Problem:
     return Problem(503, code, detail, retryable=True, headers={"retry-after": str(RETRY_AFTER_S)})
+
+
+class Stopped(Exception):  # noqa: N818 (an answer, not a mistake)
+    """The server ends."""
+
+
+class Rounds:
+    """Calls `turn` again and again in a thread of its own.
+
+    `turn` returns after how many seconds it is to be called again. During an outage, which is logged as
+    `<name>_failed`, the next round comes after `TICK_S` and finds the same work.
+    """
+
+    def __init__(self, name: str, turn: Callable[[], float]) -> None:
+        self._name = name
+        self._turn = turn
+        self._stopping = threading.Event()
+        self._woken = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name=name, daemon=True)
+        self.start = self._thread.start
+        self.wake = self._woken.set
+        """Call `turn` at once."""
+
+    def close(self, timeout_s: float = 5.0) -> None:
+        """Stop, if `turn` pauses also in the middle of it."""
+        self._stopping.set()
+        self._woken.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout_s)
+
+    def pause(self, seconds: float = 0.0) -> None:
+        """Wait; raises Stopped if the server ends meanwhile."""
+        if self._stopping.wait(seconds):
+            raise Stopped
+
+    def _loop(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                wait_s = self._turn()
+            except Stopped:
+                return
+            except (SQLAlchemyError, OSError) as error:
+                report(f"{self._name}_failed", error)
+                wait_s = TICK_S
+            self._woken.wait(wait_s)
+            self._woken.clear()

@@ -14,6 +14,7 @@ from lambent_server.maintenance import compression
 from lambent_server.maintenance.compression import Compressor
 from lambent_server.maintenance.housekeeping import sweep
 from lambent_server.running.reconciler import reconcile
+from lambent_server.storage.outages import Stopped
 from lambent_server.storage.store import LOST
 from sqlalchemy import select
 from support.api import STRANGER, Api, expect, opened, served, sha256
@@ -177,7 +178,7 @@ def test_the_thread_compresses_what_is_published_if_this_server_leads(
     monkeypatch.setattr(compression, "TICK_S", 0.05)
     leads = threading.Event()
     compressor = Compressor(api.services, leads.is_set)
-    compressor.start()
+    compressor.rounds.start()
     try:
         add_bundle(api, tmp_path, {"planes.bin": PLANES})
         api.services.wakeups.signal()
@@ -186,7 +187,7 @@ def test_the_thread_compresses_what_is_published_if_this_server_leads(
         leads.set()
         wait_until(lambda: known(api)["planes.bin"], 20.0)
     finally:
-        compressor.close()
+        compressor.rounds.close()
 
 
 def test_a_stop_does_not_wait_for_the_end_of_a_file(
@@ -199,10 +200,10 @@ def test_a_stop_does_not_wait_for_the_end_of_a_file(
     def slow(*given: object) -> Iterator[bytes]:
         for piece in (*read(*given), b"more"):
             yield piece
-            compressor._stopping.set()
+            compressor.rounds._stopping.set()
 
     monkeypatch.setattr(api.services.store, "read", slow)
-    with pytest.raises(compression.Stopped):
+    with pytest.raises(Stopped):
         compressor.turn()
     assert known(api) == {"planes.bin": None}
     assert list(api.services.settings.scratch.iterdir()) == []
