@@ -200,22 +200,6 @@ def test_only_photographs_whose_cameras_were_found_here_are_turned_upright(tmp_p
     np.testing.assert_allclose(view.camera.camera_to_world, turned_pose(pose, turns))
 
 
-def test_exr_pictures_are_taken_as_linear(tmp_path):
-    import OpenEXR
-
-    folder = write_blender(tmp_path)
-    (folder / "train" / "r_0.png").unlink()
-    pixels = np.full((12, 12, 3), 2.5, dtype=np.float32)
-    with OpenEXR.File(
-        {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, {"RGB": pixels}
-    ) as f:
-        f.write(str(folder / "train" / "r_0.exr"))
-    manifest = describe_scene(folder)
-    assert manifest.frames[0].images[0].encoding == "linear"
-    assert manifest.frames[0].split == scene_pb2.SPLIT_TRAIN
-    np.testing.assert_array_equal(load(folder).train[0].images["capture"][0, 0], [2.5, 2.5, 2.5, 1.0])
-
-
 def blender_with_object(tmp_path, columns=slice(40, 60), rows=slice(30, 50), side=120):
     """Write a capture in which the object covers a small part of every photograph; each pixel is its own."""
     folder = write_blender(tmp_path)

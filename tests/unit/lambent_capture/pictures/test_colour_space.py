@@ -218,16 +218,6 @@ def test_adobe_rgb_is_known_by_exif_alone(tmp_path, suffix, space, index, doubte
     assert ("Adobe RGB" in found.colour_doubt) == doubted
 
 
-def test_a_profile_counts_before_exif(tmp_path):
-    exif = Image.Exif()
-    exif[0x010F] = "Maker"
-    exif.get_ifd(0x8769)[0xA001] = 65535
-    (tmp_path / "a.png").write_bytes(with_profile(DISPLAY_P3, exif=exif.tobytes()))
-    np.testing.assert_allclose(
-        read_picture(tmp_path / "a.png").linear()[4, 4::8], as_linear(P3_COLOURS), atol=1e-3
-    )
-
-
 # ---- matrices ------------------------------------------------------------------------------------------
 
 

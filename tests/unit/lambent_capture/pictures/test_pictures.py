@@ -143,15 +143,6 @@ def test_a_depth_picture_covers_what_is_nearer_than_the_background(tmp_path):
     np.testing.assert_array_equal(read_mask(tmp_path / "a.png", NERO_DEPTH).coverage, [[1.0, 1.0, 0.0, 0.0]])
 
 
-def test_an_opaque_picture_is_a_mask_by_its_grey_level_and_a_cut_out_one_by_its_alpha(tmp_path):
-    opaque = np.dstack([GREY, GREY, GREY, np.full_like(GREY, 255)])
-    Image.fromarray(opaque).save(tmp_path / "opaque.png")
-    expected = GREY / 255.0
-    np.testing.assert_allclose(read_mask(tmp_path / "opaque.png").coverage, expected, atol=1e-6)
-    Image.fromarray(np.dstack([COLOUR, GREY])).save(tmp_path / "cut.png")
-    np.testing.assert_allclose(read_mask(tmp_path / "cut.png").coverage, GREY / 255.0, atol=1e-6)
-
-
 def test_the_suffix_of_something_else_is_refused_with_those_that_are_read(tmp_path):
     (tmp_path / "a.gif").write_bytes(b"GIF89a")
     with pytest.raises(PictureError, match="use JPEG, HEIC, PNG, WebP, AVIF, TIFF, EXR, HDR or"):
