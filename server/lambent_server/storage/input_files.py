@@ -19,8 +19,8 @@ def input_file(
 
 def scene_inputs(connection: Connection, tenant: Tenant, scene_id: str) -> Files:
     """Return the files of a scene under their own paths."""
-    found = _sorted(connection, tenant, SceneFileRow, scene_id=scene_id)
-    return [input_file(row.path, row) for row in found]
+    files = _sorted(connection, tenant, SceneFileRow, scene_id=scene_id)
+    return [input_file(row.path, row) for row in files]
 
 
 def bundle_inputs(connection: Connection, tenant: Tenant, bundle_id: str, folder: str) -> Files:
