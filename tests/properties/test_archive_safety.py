@@ -13,7 +13,7 @@ from lambent_server.api.problems import Problem
 from lambent_server.core.settings import Settings
 from lambent_server.storage.archives import unpack
 from lambent_server.storage.paths import path_problem
-from support.archives import make_tar, make_zip, tar_member
+from support.archives import AnyRoom, make_tar, make_zip, tar_member
 
 SETTINGS = Settings(max_scene_bytes=100_000, max_scene_files=20)
 FILES = {
@@ -52,7 +52,7 @@ def test_a_damaged_archive_is_refused_or_gives_safe_files(original: bytes, seed:
         archive.write_bytes(damage(original, seed))
         folder.mkdir()
         try:
-            members, left_out = unpack(archive, folder, SETTINGS)
+            members, left_out = unpack(archive, folder, SETTINGS, AnyRoom())
         except Problem:
             return
         for member in members:
@@ -68,6 +68,6 @@ def test_the_undamaged_ones_are_read():
         with tempfile.TemporaryDirectory() as name:
             archive = Path(name) / "archive"
             archive.write_bytes(original)
-            members, _ = unpack(archive, Path(name), SETTINGS)
+            members, _ = unpack(archive, Path(name), SETTINGS, AnyRoom())
         assert len(members) == count
     assert zipfile.is_zipfile(io.BytesIO(ORIGINALS[0]))
