@@ -140,6 +140,7 @@ check-contracts: $(VENV)/.installed
 
 check-texts: $(VENV)/.installed
 	$(BIN)/python scripts/check_functions.py
+	$(BIN)/python scripts/check_words.py
 	$(BIN)/python scripts/check_docs.py
 	$(BIN)/python scripts/check_changelog.py
 	$(BIN)/towncrier build --draft --version next >/dev/null

@@ -25,7 +25,6 @@ from lambent_run.run.spec import RunSpec
 
 from benchmarks.reference_scores import figures_of
 from benchmarks.stage_sharing import adopt_nerf_cache
-from benchmarks.variants import add_variants
 
 QUICK = "{sample} --preset tiny --only no-clusters --views 1"
 
@@ -107,6 +106,25 @@ def table(runs: dict[str, list[dict[str, float]]]) -> str:
             cells.append(f"{mean:.2f}{change}")
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def add_variants(parser: argparse.ArgumentParser, of: str) -> None:
+    """Add `--variant`; `of` says what a variant changes."""
+    help_text = f"a name and the settings of {of} that differ from the preset, may be repeated"
+    parser.add_argument(
+        "--variant",
+        action="append",
+        type=variant,
+        default=[],
+        metavar="'NAME: KEY=VALUE ...'",
+        help=help_text,
+    )
+
+
+def variant(text: str) -> tuple[str, dict[str, str]]:
+    """Return name and settings of a variant, `NAME: KEY=VALUE KEY=VALUE`."""
+    name, _, settings = text.partition(":")
+    return name.strip(), dict(setting.split("=", 1) for setting in settings.split())
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -44,7 +44,7 @@ from lambent_run.run.tasks.training import (
     training_pixels,
 )
 
-from benchmarks.variants import add_variants
+from benchmarks.switches import add_variants
 
 QUICK = (
     "{sample} --preset tiny --marks 2 --views 1 --seeds 0 --variant base --variant few:stage_one.num_rays=128"

@@ -1,8 +1,8 @@
 """Fail for functions that are hard to read: more than 60 lines, or more than 8 parameters.
 
 Decorators and docstrings do not count, nor do `self` and `cls`. A module of under 25 lines belongs to its
-neighbour, unless it is a registry. `OWED` lists the places that are older than the rule: it may only get
-shorter. Modules that import each other in a circle fail too, wherever in a module the import is.
+neighbour, unless it is a registry. Modules that import each other in a circle fail too, wherever in a module
+the import is.
 """
 
 import ast
@@ -29,7 +29,6 @@ KERNELS = {
 }
 COMMANDS = ("*/cli/*", "*/commands/*", "*/admin/*")
 """Where an option of a command is a parameter, as Typer has it."""
-OWED = ROOT / "scripts" / "owed_functions.txt"
 
 
 def problems_of(path: str, text: str) -> Iterator[tuple[str, str]]:
@@ -114,19 +113,15 @@ def tracked(*patterns: str) -> list[Path]:
 
 
 def main() -> int:
-    """Print what is wrong and is not owed, and what is owed no more; return the exit status."""
+    """Print what is wrong; return the exit status."""
     paths = tracked(*(f"{folder}/*.py" for folder in FOLDERS))
     sources = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in paths}
     wrong = problems({p: t for p, t in sources.items() if not any(fnmatch(p, each) for each in GENERATED)})
-    if "--write" in sys.argv:
-        OWED.write_text("".join(f"{place}\n" for place in sorted(wrong)), encoding="utf-8")
-    owed = set(OWED.read_text(encoding="utf-8").split())
-    new = [f"{place}: {wrong[place]}" for place in sorted(wrong.keys() - owed)]
+    lines = [f"{place}: {wrong[place]}" for place in sorted(wrong)]
     if ring := circle(imports(sources)):
-        new.append(f"modules import each other in a circle: {' -> '.join(ring)}")
-    done = [f"{place}: no longer owed; take it out of {OWED.name}" for place in sorted(owed - wrong.keys())]
-    print("\n".join(new + done) or f"functions of {len(sources)} modules, {len(owed)} places owed")
-    return bool(new or done)
+        lines.append(f"modules import each other in a circle: {' -> '.join(ring)}")
+    print("\n".join(lines) or f"functions of {len(sources)} modules")
+    return bool(lines)
 
 
 if __name__ == "__main__":

@@ -14,12 +14,15 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 from check_functions import ROOT, tracked
 
+COMPARATIVE = (
+    r"(?:bett|small|larg|bigg|long|short|few|high|low|great|fast|slow|earli|lat|old|near|clos|farth)er\b"
+)
 PHRASES = {
     r"(?:is|are|was|were|be|been|database|store|server|disk|away or) away(?! from)\b": "unavailable, gone",
     r"(?:what|that|who|which|where \w+|nothing) (?:is|are|was|were) there\b(?! (?:an?|any|no)\b)": "exists",
     r"(?:go|goes|going|gone|went) on\b(?! (?:a|the|to the)\b)": "continue",
     r"(?:is|are|was|were|be|been|being) told\b(?! (?:apart|from|to))": "receives, knows, is reported",
-    r"(?<!there )(?:is|are|was|were) no (?!more|less|worse|different|\w+er\b)": "is not a",
+    rf"(?<!there )(?:is|are|was|were) no (?!more|less|worse|different|such|{COMPARATIVE})": "is not a",
     r"(?:somebody|anybody)\b": "a user, someone, the name of the role",
     r"nobody's\b": "no user's, belongs to no one",
     r"(?:is|are|was|were|be) (?:asked|believed)\b(?! (?:for|to)\b)": "is called, is used, is trusted",

@@ -24,7 +24,7 @@ class PictureRows:
 def block_means(picture: PictureRows, step: int) -> NDArray[np.float32]:
     """Return the means over blocks of `step` x `step` pixels, weighted with solid angle.
 
-    `step` must divide both sides. A value that is no number spoils its own block only.
+    `step` must divide both sides. A value that is not a number spoils its own block only.
     """
     if step == 1:
         return picture.rows(slice(0, picture.height))

@@ -62,7 +62,7 @@ MAP_ANONYMOUS: Final = 0x20
 WRITING: Final = 0o3
 """O_WRONLY and O_RDWR."""
 CREATING: Final = 0o100 | 0o1000 | 0o2000 | 0o20000000
-"""O_CREAT, O_TRUNC, O_APPEND and the bit of O_TMPFILE that is no other flag."""
+"""O_CREAT, O_TRUNC, O_APPEND and the bit of O_TMPFILE that no other flag has."""
 F_DUPFD: Final = 0
 F_GETFD: Final = 1
 F_SETFD: Final = 2

@@ -10,7 +10,7 @@ LAYOUTS = {
     "mixed, 2 features": build_layout((6, 11, 99), num_features=2, log2_table_size=13, half_extent=2.0),
     "mixed, 4 features": build_layout((9, 2048), num_features=4, log2_table_size=12, half_extent=0.7),
 }
-# Every number of features that a row may have, and levels whose rows are no power of two.
+# Every number of features that a row may have, and levels whose rows are not a power of two.
 INTERPRETED = LAYOUTS | {
     "one voxel": dense_layout(1),
     "mixed, 3 features": build_layout((5, 40), num_features=3, log2_table_size=12, half_extent=1.0),

@@ -20,8 +20,8 @@ const passed: ReadonlySet<string> = new Set([
   "a picture without light was asked for",
   "another answer than was asked for",
   "no bundle is open",
-  "… is no power of two",
-  "… is no number a shader can have",
+  "… is not a power of two",
+  "… is not a number a shader can have",
   "… levels; use 2 to 16",
 ]);
 

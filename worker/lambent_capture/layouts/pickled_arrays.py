@@ -59,13 +59,13 @@ class _Kind:
 
     def __init__(self, code: Any, *_: Any) -> None:
         if code not in _KINDS:
-            raise PickleRefusedError("holds arrays of something that is no number")
+            raise PickleRefusedError("holds arrays of something that is not a number")
         self.element = np.dtype(code)
 
     def build(self, _version: Any, order: Any, *rest: Any) -> None:
         # (version, byte order, sub-array, names, fields, ...): a plain number has none of the latter.
         if order not in ("<", ">", "|") or any(part is not None for part in rest[:3]):
-            raise PickleRefusedError("holds arrays of something that is no number")
+            raise PickleRefusedError("holds arrays of something that is not a number")
         self.element = self.element.newbyteorder(order)
 
 
@@ -81,7 +81,7 @@ class _Array:
 
 def _array(data: Any, kind: Any, shape: Any = (), order: Any = "C") -> np.ndarray:
     if not isinstance(kind, _Kind) or not isinstance(data, bytes):
-        raise PickleRefusedError("holds arrays of something that is no number")
+        raise PickleRefusedError("holds arrays of something that is not a number")
     return np.frombuffer(data, kind.element).reshape(shape, order=order)
 
 

@@ -28,7 +28,7 @@ class PoseLimits:
     reprojection_error_px: float = 1.0
     """Good solutions have 0.2 to 0.6."""
     unusable_px: float = 16.0
-    """No camera is right if points are this far off in the mean, or their error is no number."""
+    """No camera is right if points are this far off in the mean, or their error is not a number."""
     field_deg: float = 90.0
     """Wider than most lenses: rather the sign of a pattern that repeats."""
     flat_share: float = 0.8

@@ -26,7 +26,7 @@ MAX_VIEWS = 40
 MIN_VIEWS = 8
 """Fewer silhouettes than this leave too much room to say anything."""
 MISFIT_SHARE = 0.25
-"""Share of the frames that may disagree before it is no matter of single frames any more."""
+"""Share of the frames that may disagree before it is more than a matter of single frames."""
 MARGIN = 0.05
 """Added to each side of the box, as a share of its longest side."""
 

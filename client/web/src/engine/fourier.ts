@@ -9,7 +9,7 @@ export class Fourier {
 
   /** Prepare transforms of `length` values; a power of two. */
   constructor(readonly length: number) {
-    if (length < 2 || (length & (length - 1)) !== 0) throw new RangeError(`${length} is no power of two`);
+    if (length < 2 || (length & (length - 1)) !== 0) throw new RangeError(`${length} is not a power of two`);
     this.#cosines = Float64Array.from({ length: length / 2 }, (_, k) => Math.cos((2 * Math.PI * k) / length));
     this.#sines = Float64Array.from({ length: length / 2 }, (_, k) => Math.sin((2 * Math.PI * k) / length));
     const swaps: number[] = [];

@@ -81,7 +81,7 @@ export const limits = {
   metalness: [-1, 1],
 } as const satisfies Record<string, Limits>;
 
-/** Return a value inside its limits; what is no number becomes `otherwise`. */
+/** Return a value inside its limits; what is not a number becomes `otherwise`. */
 export function within(value: number, [least, most]: Limits, otherwise: number): number {
   return Number.isFinite(value) ? Math.min(Math.max(value, least), most) : otherwise;
 }

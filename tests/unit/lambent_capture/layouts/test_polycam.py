@@ -74,7 +74,7 @@ def test_a_few_photographs_may_be_missing(tmp_path):
 FAULTS = {
     "no lens": ({"fx": None}, "scene.camera_missing"),
     "no pose": ({"t_12": None}, "scene.camera_missing"),
-    "a lens that is no number": ({"fx": "wide"}, "scene.lens_invalid"),
+    "a lens that is not a number": ({"fx": "wide"}, "scene.lens_invalid"),
     "a pose that is not a rotation": ({"t_12": 7.0}, "scene.camera_not_rigid"),
 }
 

@@ -7,7 +7,7 @@ from lambent_relight.fused.kernels import BLOCK, STRIDE
 
 DENSE, HASHED = (5, 0, 125, 5, 25), (40, 125, 256, 2_654_435_761, 805_459_861)
 ODD = (40, 381, 300, 2_654_435_761, 805_459_861)
-"""A hashed level whose number of rows is no power of two."""
+"""A hashed level whose number of rows is not a power of two."""
 
 
 def grid_of(num_features: int, *levels: tuple[int, ...]) -> grids.Grid:

@@ -1,4 +1,4 @@
-"""What is done while an organisation is being closed, or after it is gone, leaves nothing behind."""
+"""Work done while an organisation is being closed, or after it is gone, leaves nothing behind."""
 
 import contextlib
 import threading

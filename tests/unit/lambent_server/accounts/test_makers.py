@@ -1,4 +1,4 @@
-"""What someone made ends with them, and is no more than they have: keys, links, shares, subscriptions."""
+"""Keys, links, shares and subscriptions end with their maker, and have at most their maker's rights."""
 
 import threading
 import time

@@ -25,7 +25,7 @@ DESCRIPTION = {
 
 
 class Wire:
-    """What the provider answers, and how often it was asked."""
+    """The answers of a provider, and the number of requests for them."""
 
     def __init__(self) -> None:
         self.answer: Any = DESCRIPTION

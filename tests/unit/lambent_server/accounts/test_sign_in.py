@@ -1,4 +1,4 @@
-"""Who gets in, and into which organisations: as the last word of the provider or the proxy says."""
+"""Sign-ins, and the organisations they lead into, follow the last word of the provider or the proxy."""
 
 from collections.abc import Iterator
 from contextlib import closing

@@ -234,7 +234,7 @@ def test_a_browser_learns_before_it_reads_which_origins_may(api: Api):
     expect_problem(preflight(api, path, method="DELETE"), 401, "not_authenticated")
     expect_problem(preflight(api, "/v1/bundles/bundle_poster"), 401, "not_authenticated")
     expect(api.delete(f"/v1/shares/{share['id']}"), 204)
-    # Or its page could not be told that the link has ended.
+    # Otherwise its page could not learn that the link has ended.
     assert preflight(api, path).headers["access-control-allow-origin"] == SHOP
     assert "access-control-allow-origin" not in preflight(api, path, "https://evil.example").headers
 

@@ -1,4 +1,4 @@
-"""Who else is there, without a database: what a server makes of the rows that it finds."""
+"""The other servers of a service, as one of them concludes from their rows; without a database."""
 
 import time
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Which pictures of a long training are kept."""
+"""The choice of the pictures of a long training that are kept."""
 
 from collections.abc import Iterator
 from itertools import pairwise

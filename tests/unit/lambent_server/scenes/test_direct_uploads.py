@@ -258,7 +258,7 @@ def test_files_that_are_sent_and_never_taken_over_count_for_the_quota_until_they
                 refused += 1
         assert refused == 7
         assert in_bucket(server) == 900_000
-        # The same plan again is no further use, and the file that was reserved can be stored in either way.
+        # The same plan again adds no use, and the file that was reserved can be stored in either way.
         again = [{"path": "a.png", "size": len(sent), "sha256": sha256(sent)}]
         expect(api.post(f"/v1/scenes/{first}/files:plan", json=again), 200)
         time.sleep(4.5)

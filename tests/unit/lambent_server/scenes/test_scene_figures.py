@@ -1,4 +1,4 @@
-"""What was measured on a scene: stored by its run, shown as JSON or as a page, gone with the scene."""
+"""Figures measured on a scene: stored by its run, shown as JSON or as a page, gone with the scene."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""Where webhooks are sent: nowhere inside, however the address is written or wrapped."""
+"""Addresses of webhooks: none is inside, however the address is written or wrapped."""
 
 import ipaddress
 from typing import Any

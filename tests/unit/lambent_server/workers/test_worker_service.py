@@ -1,4 +1,4 @@
-"""What run processes may do: only the current run, only once, only whole files."""
+"""The rights of run processes: only the current run, only once, only whole files."""
 
 import hashlib
 import threading
