@@ -45,7 +45,7 @@ SKIPPED = (
     "*_pb2_grpc.py",
     "*_pb.ts",
     "*rest.ts",
-    "scripts/check_words.py",
+    "*check_words.py",
     "CONTRIBUTING.md",
 )
 

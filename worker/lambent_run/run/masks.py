@@ -32,7 +32,8 @@ def masks_setting(source: Path | None, *, whole_view: bool) -> str:
     files = mask_files(source) if source.is_dir() else []
     if not files:
         raise UsageError(
-            "config.masks_missing", f'--masks "{source}" is not a folder with pictures; give the folder of masks'
+            "config.masks_missing",
+            f'--masks "{source}" is not a folder with pictures; give the folder of masks',
         )
     return digest([[path.relative_to(source).as_posix(), file_sha256(path)] for path in files])
 
