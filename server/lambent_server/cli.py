@@ -147,7 +147,7 @@ def keys(
 
     if bool(key) == (action is KeyAction.LIST):
         raise typer.BadParameter("create takes a name, revoke and rotate take an id, list takes neither")
-    tenant = Tenant(DEFAULT_TENANT_ID)
+    tenant, made = Tenant(DEFAULT_TENANT_ID), None
     with (
         opened_database("keys", data=data, database=database) as (settings, opened),
         opened.write() as connection,
@@ -160,10 +160,12 @@ def keys(
             return
         if action is KeyAction.CREATE:
             made = key_rows.create(connection, tenant, key_rows.NewKey(name=key))
-            typer.echo(made.key)
             key = made.id
         elif action is KeyAction.ROTATE:
-            typer.echo(key_rows.rotate(connection, tenant, key, settings.data).key)
+            made = key_rows.rotate(connection, tenant, key)
         else:
             key_rows.revoke(connection, tenant, key)
         audit.record(connection, operator(tenant), f"keys {action}", key)
+    if made is not None:
+        key_rows.keep_in_file(settings.data, made)
+        typer.echo(made.key)

@@ -165,10 +165,8 @@ def revoke(connection: Connection, tenant: Tenant, key_id: str) -> None:
         end_what_keys_made(connection, tenant, ended)
 
 
-def rotate(
-    connection: Connection, tenant: Tenant, key_id: str, data: Path, maker: Who | None = None
-) -> CreatedKey:
-    """Replace a key, which is revoked, with a new one; for the data folder's key, rewrite its file.
+def rotate(connection: Connection, tenant: Tenant, key_id: str, maker: Who | None = None) -> CreatedKey:
+    """Replace a key, which is revoked, with a new one; `keep_in_file` must follow the transaction.
 
     Share links, subscriptions and webhooks of jobs pass to the new key; keys that the old one made end.
     Without `maker` an operator does it. Raises `key_of_another` unless `maker` is the key itself, or has made
@@ -191,11 +189,18 @@ def rotate(
     kept = {name: getattr(row, name) for name in names}
     fresh = _issue(connection, tenant, row.name, new_secret(PREFIX), **kept)
     pass_on(connection, tenant, key_id, fresh.id)
-    if row.name == _file_name(data):
-        assert fresh.key is not None
-        write_secret(data / FILE, fresh.key, replace=True)
     revoke(connection, tenant, key_id)
     return fresh
+
+
+def keep_in_file(data: Path, fresh: CreatedKey) -> None:
+    """Write the key that replaces the data folder's one into its file.
+
+    Only once its transaction has ended: one that is rolled back must leave the key that works in the file.
+    If the server ends in between, the next start finds a revoked key in the file and makes another one.
+    """
+    if fresh.key is not None and fresh.name == _file_name(data):
+        write_secret(data / FILE, fresh.key, replace=True)
 
 
 def _require_working(connection: Connection, tenant: Tenant, maker: Who) -> KeyRow:

@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from typing import Any
 from urllib.parse import unquote_to_bytes
 
+from starlette.datastructures import Headers
+
 from lambent_server.api.problems import Detail, Problem
 
 MAX_INTEGER = 2**63 - 1
@@ -24,6 +26,17 @@ _QUOTED = r'"(?:[\t \x21\x23-\x5b\x5d-\x7e]|\\[\t \x21-\x7e])*"'
 _MEDIA_TYPE = re.compile(rf"{_TOKEN}/{_TOKEN}(?:[ \t]*;[ \t]*{_TOKEN}=(?:{_TOKEN}|{_QUOTED}))*")
 # Only text with one of these can have a value to refuse: a list of a million files is not walked through.
 _SUSPECT = re.compile(r"\\u(?:0000|[dD][89a-fA-F])|[0-9]{18}|[0-9][eE]\+?[0-9]{3}")
+
+
+def announced_bytes(headers: Headers) -> int:
+    """Return the size of its body that a request announces; 0 if it says none that is a number.
+
+    More digits than any body has, which Python refuses to convert, count as the largest number.
+    """
+    text = headers.get("content-length", "")
+    if not (text.isascii() and text.isdigit()):
+        return 0
+    return int(text) if len(text) < 20 else MAX_INTEGER
 
 
 def storable(text: str) -> bool:

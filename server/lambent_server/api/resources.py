@@ -92,8 +92,10 @@ def require(
 
 def require_match(if_match: str | None, shown: BaseModel) -> None:
     """Refuse to change what has changed since the client read it; `shown` is what a GET returns now."""
-    tags = {each.strip() for each in (if_match or "*").split(",")}
-    # Weak tags never match (RFC 9110, 13.1.1).
+    if if_match is None:
+        return
+    # An empty header names no state, so it matches none; nor do weak tags ever (RFC 9110, 13.1.1).
+    tags = {each.strip() for each in if_match.split(",")}
     if tags != {"*"} and _tag(shown.model_dump(mode="json")) not in tags:
         raise Problem(
             412, "precondition_failed", "this has changed since you read it; read it again, then decide"

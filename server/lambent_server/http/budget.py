@@ -14,6 +14,7 @@ from typing import Self
 
 from starlette.datastructures import Headers
 
+from lambent_server.api.outside_text import announced_bytes
 from lambent_server.api.problems import Problem
 from lambent_server.core.metrics import REQUESTS_REFUSED
 from lambent_server.core.settings import Settings
@@ -88,8 +89,7 @@ def kind_of(method: str, path: str, headers: Headers) -> str | None:
         return STREAMS
     if _SIGN_IN.fullmatch(path):
         return SIGN_INS
-    length = headers.get("content-length", "0")
-    if length.isdigit() and int(length) > SMALL_BODY_BYTES:
+    if announced_bytes(headers) > SMALL_BODY_BYTES:
         return BODIES
     return REQUESTS
 

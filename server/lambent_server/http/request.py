@@ -11,6 +11,7 @@ from typing import Any
 import structlog
 from starlette.datastructures import Headers, MutableHeaders
 
+from lambent_server.api.outside_text import announced_bytes
 from lambent_server.api.problems import MEDIA_TYPE, Detail, Problem
 from lambent_server.core.clock import new_id
 from lambent_server.core.metrics import REQUEST_SECONDS
@@ -83,8 +84,7 @@ class Exchange:
 
     def check_length(self, headers: Headers) -> None:
         """Refuse a body whose announced length is too large, before reading it."""
-        text = headers.get("content-length")
-        if text is not None and text.isascii() and text.isdigit() and int(text) > self._limit:
+        if announced_bytes(headers) > self._limit:
             raise self._too_large()
 
     def _too_large(self) -> Problem:

@@ -63,6 +63,7 @@ def rotate_key(
     """Replace this key with a new one; it is revoked at once, with the keys that it made."""
     require_key(request, _WHAT)
     with services.database.write() as connection:
-        made = keys.rotate(connection, tenant, key_id, services.settings.data, who)
+        made = keys.rotate(connection, tenant, key_id, who)
         audit.record(connection, who, "rotate_key", key_id, details={"key": made.id})
-        return made
+    keys.keep_in_file(services.settings.data, made)
+    return made

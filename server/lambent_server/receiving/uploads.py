@@ -18,7 +18,7 @@ from sqlalchemy import Connection
 from starlette.requests import ClientDisconnect
 
 from lambent_server.accounts import quotas
-from lambent_server.api.outside_text import refuse_form
+from lambent_server.api.outside_text import announced_bytes, refuse_form
 from lambent_server.api.problems import Problem
 from lambent_server.core.metrics import UPLOAD_BYTES
 from lambent_server.database.schema import blobs
@@ -107,8 +107,7 @@ def storing(services: Services, path: Path, floor_part: float = 1.0) -> Abstract
 
 def _expect(body: Body, request: Request) -> None:
     """Refuse a body before its first byte if there is no room for as much as is announced."""
-    length = request.headers.get("content-length", "0")
-    body.expect(int(length) if length.isdigit() else 0)
+    body.expect(announced_bytes(request.headers))
 
 
 class ArchiveRoom:

@@ -89,6 +89,8 @@ class Rounds:
                 return
             except (SQLAlchemyError, OSError) as error:
                 report(f"{self._name}_failed", error)
-                wait_s = TICK_S
+                # New work does not end an outage, and would only fill the log.
+                self._stopping.wait(TICK_S)
+                continue
             self._woken.wait(wait_s)
             self._woken.clear()

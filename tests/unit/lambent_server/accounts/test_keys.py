@@ -68,6 +68,25 @@ def test_a_rotated_key_is_replaced_by_one_of_the_same_name(api: Api):
     assert not works(api, old["key"])
 
 
+def test_a_rotation_that_fails_leaves_the_key_that_works_in_its_file(
+    api: Api, monkeypatch: pytest.MonkeyPatch
+):
+    secret, file = accept(api), api.services.settings.data / FILE
+    owner = api.other(secret)
+    (own,) = (key for key in expect(owner.get("/v1/keys"), 200)["items"] if key["name"].startswith(FILE))
+    with monkeypatch.context() as patched:
+        patched.setattr(audit, "record", failing)
+        assert owner.post(f"/v1/keys/{own['id']}:rotate").status_code == 500
+    assert file.read_text().strip() == secret
+    assert works(api, secret)
+    fresh = expect(owner.post(f"/v1/keys/{own['id']}:rotate"), 201)["key"]
+    assert file.read_text().strip() == fresh
+
+
+def failing(*_: object, **__: object) -> None:
+    raise RuntimeError
+
+
 def test_revoking_a_key_logs_out_the_browsers_and_ends_the_links_it_may_have_made(api: Api):
     made = create(api)
     link = expect(api.other(made["key"]).post("/v1/login-links"), 201)["url"]

@@ -122,7 +122,7 @@ def test_a_key_that_was_revoked_a_moment_ago_makes_and_replaces_nothing(api: Api
         with pytest.raises(Problem) as created:
             keys.create(connection, TENANT, keys.NewKey(name="late"), maker=who)
         with pytest.raises(Problem) as replaced:
-            keys.rotate(connection, TENANT, made["id"], api.services.settings.data, who)
+            keys.rotate(connection, TENANT, made["id"], who)
     assert {created.value.code, replaced.value.code} == {"not_authenticated"}
 
 
@@ -148,7 +148,7 @@ def test_a_key_that_is_being_made_while_an_earlier_one_ends_ends_too(api: Api, e
             if makes == "create":
                 made = keys.create(connection, TENANT, keys.NewKey(name="late"), maker=who)
             else:
-                made = keys.rotate(connection, TENANT, who.id, api.services.settings.data, who)
+                made = keys.rotate(connection, TENANT, who.id, who)
             ending = pool.submit(end)
             began.wait(5.0)
             time.sleep(0.5)

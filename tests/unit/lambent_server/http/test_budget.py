@@ -112,6 +112,9 @@ def test_kinds_are_told_by_the_head_of_a_request():
     assert kind_of("POST", "/v1/jobs", none) == REQUESTS
     assert kind_of("PUT", "/v1/scenes/x/archive", large) == BODIES
     assert kind_of("POST", "/v1/login", large) == SIGN_INS
+    # More digits than Python converts.
+    assert kind_of("POST", "/v1/scenes", Headers({"content-length": "0" * 5000})) == BODIES
+    assert kind_of("POST", "/v1/scenes", Headers({"content-length": "\u00b2"})) == REQUESTS
     for path in ("/healthz", "/readyz"):
         assert kind_of("GET", path, none) is None
 

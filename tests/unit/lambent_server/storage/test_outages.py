@@ -4,6 +4,8 @@ import contextlib
 import errno
 import os
 import sqlite3
+import time
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -79,6 +81,26 @@ def test_an_outage_is_logged_in_one_line_and_a_mistake_with_its_place():
         outages.report("x_failed", StoreUnavailableError("x"))
         outages.report("x_failed", RuntimeError("x"))
     assert [(each["log_level"], "exc_info" in each) for each in logs] == [("warning", False), ("error", True)]
+
+
+def test_new_work_does_not_repeat_rounds_during_an_outage(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(outages, "TICK_S", 0.3)
+    calls = []
+
+    def turn() -> float:
+        calls.append(time.monotonic())
+        raise StoreUnavailableError("x")
+
+    rounds = outages.Rounds("x", turn)
+    with capture_logs():
+        rounds.start()
+        end = time.monotonic() + 0.8
+        while time.monotonic() < end:
+            rounds.wake()
+            time.sleep(0.01)
+        rounds.close()
+    assert 2 <= len(calls) <= 3
+    assert min(later - earlier for earlier, later in pairwise(calls)) > 0.29
 
 
 def test_uploads_to_a_store_that_is_read_only_or_full_are_put_off_until_it_is_not(
