@@ -32,6 +32,7 @@ from lambent_sandbox.sandbox import (
     require_apart,
 )
 
+from lambent_capture.checks.check_child import MAX_REASON_CHARACTERS
 from lambent_capture.checks.check_result import CaptureCheck
 from lambent_capture.layouts.detect import require_layout
 from lambent_capture.pictures.picture_error import SKIPPED, STOPPED, TOO_LARGE
@@ -63,10 +64,13 @@ def check_capture(
     require_layout(layout)
     _require_apart(folder, masks, cameras)
     killers: dict[str, str] = {}
+    why = "needed more memory or time than it may use"
     for _ in range(MAX_DEATHS):
-        check, reading, code = _run_child(folder, layout, masks, cameras, killers)
+        check, reading, code, failure = _run_child(folder, layout, masks, cameras, killers)
         if check is not None:
             return check
+        if failure:
+            why = f"failed with {failure}"
         if not reading or reading in killers:
             killers.setdefault(reading or "a file", code)
             break
@@ -77,9 +81,13 @@ def check_capture(
             problems.error(STOPPED, f"{path} {SKIPPED[STOPPED]}", path)
     problems.error(
         "scene.check_failed",
-        "the check needed more memory or time than it may use"
+        f"the check {why}"
         + (f" while reading {', '.join(killers)}" if killers else "")
-        + "; reduce the number or the size of the files",
+        + (
+            "; this is a fault of Lambent's reader: report it with this line"
+            if why.startswith("failed")
+            else "; reduce the number or the size of the files"
+        ),
     )
     report = scene_pb2.SceneReport(usable=False, layout=layout or "", findings=problems.findings())
     return CaptureCheck(report=report)
@@ -105,8 +113,8 @@ def _require_apart(*folders: Path | None) -> None:
 
 def _run_child(
     folder: Path, layout: str | None, masks: Path | None, cameras: Path | None, killers: dict[str, str]
-) -> tuple[CaptureCheck | None, str | None, str]:
-    """Return the child's result, or None, the file it was reading when it ended, and the code for that."""
+) -> tuple[CaptureCheck | None, str | None, str, str]:
+    """Return the child's result, or None, the file it was reading when it ended, the code and the error."""
     order = {
         "folder": str(folder.resolve()),
         "layout": layout,
@@ -120,10 +128,11 @@ def _run_child(
     output, code = _ask(json.dumps(order))
     try:
         check, reading = _understand(output, folder, code)
+        failure = _failure(output)
     except (json_format.ParseError, ValueError, TypeError, AttributeError, RecursionError, OSError):
         # No check writes this: foreign code runs in the child.
-        return None, _last_announced(output), STOPPED
-    return check, reading, STOPPED if code == -signal.SIGSYS else TOO_LARGE
+        return None, _last_announced(output), STOPPED, ""
+    return check, reading, STOPPED if code == -signal.SIGSYS else TOO_LARGE, failure
 
 
 def _ask(order: str) -> tuple[str, int]:
@@ -254,6 +263,15 @@ def _last_announced(output: str) -> str | None:
             except ValueError:
                 continue
     return None
+
+
+def _failure(output: str) -> str:
+    """Return the exception that ended a reader, as the child's last line says; empty if there is none."""
+    kind, _, rest = output.rpartition("\n")[0].rpartition("\n")[2].partition(" ")
+    if kind != "failed":
+        return ""
+    text = json.loads(rest)
+    return "".join(letter for letter in str(text) if letter.isprintable())[:MAX_REASON_CHARACTERS]
 
 
 def _thumbnail(value: dict[str, Any]) -> dict[str, str]:

@@ -3,12 +3,14 @@
 Lines are `reading "path"` before each file is decoded; `left_out ["path", ...]`; where the capture can be
 used `figures {CaptureFigures as ProtoJSON}`, `thumbnail {"name", "jpeg"}` for each frame and
 `portrait "jpeg"`; and at the end `report {SceneReport}`. Instead of all of them, `refused "why"` where layers
-are missing that have to be there, and `broken "why"` where a library cannot be loaded.
+are missing that have to be there, `broken "why"` where a library cannot be loaded, and `failed "why"` where a
+reader raises what it should have made a finding of.
 """
 
 import importlib
 import json
 import sys
+import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -44,7 +46,15 @@ def main() -> None:
     except Exception as error:  # Whatever a library raises that does not find itself.
         tell("broken", f"{type(error).__name__}: {error}"[:MAX_REASON_CHARACTERS])
         sys.exit(EXIT_BROKEN)
-    check(folder, layout, masks, cameras, order["killers"])
+    try:
+        check(folder, layout, masks, cameras, order["killers"])
+    except MemoryError:
+        raise
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(place.filename).name}:{place.lineno}"
+        tell("failed", f"{type(error).__name__}: {error} ({where})"[:MAX_REASON_CHARACTERS])
+        raise
 
 
 def check(

@@ -80,6 +80,21 @@ def test_a_child_without_enough_memory_ends_in_a_finding(tmp_path, monkeypatch):
     assert not report.usable
 
 
+def test_a_reader_that_raises_is_named_as_such(tmp_path, monkeypatch):
+    raises = "import lambent_capture.checks.check_child as c; c.check = lambda *_: {}['fucal']; c.main()"
+    monkeypatch.setattr(check, "COMMAND", [sys.executable, "-B", "-c", raises])
+    (finding,) = check.check_capture(write_tensoir(tmp_path)).report.findings
+    assert finding.code == "scene.check_failed"
+    assert finding.message.startswith("the check failed with KeyError: 'fucal' (<string>:1)")
+    assert "a fault of Lambent's reader" in finding.message
+    # Foreign code may run in the child: what it says is cut, and has no control characters.
+    says = f"print('failed', {json.dumps(json.dumps('x' * 1000 + chr(7)))})"
+    monkeypatch.setattr(check, "COMMAND", [sys.executable, "-c", says])
+    (finding,) = check.check_capture(tmp_path).report.findings
+    assert len(finding.message) < 500
+    assert finding.message.isprintable()
+
+
 def test_a_library_that_cannot_be_loaded_is_no_fault_of_the_capture(tmp_path, monkeypatch):
     monkeypatch.setattr(check, "MAX_MEMORY_BYTES", 30 * MEGABYTE)
     with pytest.raises(WorkerError, match="a library cannot be loaded: ImportError") as caught:
