@@ -182,7 +182,7 @@ class LocalExecutor:
     def poll(self, handle: Handle, *, has_reported: bool = False) -> Gone | None:
         """Return None while the process exists, otherwise how it ended, if this server started it."""
         if handle.get("executor", "local") != "local":
-            raise ExecutorAwayError("the run was started on a cluster")
+            raise ExecutorAwayError(f"the run was started by the executor {handle['executor']}")
         run = handle.get("run", "")
         with self._reaping:
             child = self._children.get(run)

@@ -133,7 +133,7 @@ def require_complete(routers: Iterable[APIRouter]) -> None:
     """Raise LookupError for a route that declares no scope."""
     names = {str(getattr(route, "name", route)) for router in routers for route in router.routes}
     if names - set(SCOPES):
-        raise LookupError(f"no scope is declared for {', '.join(sorted(names - set(SCOPES)))}")
+        raise LookupError(f"SCOPES in {__name__} has no scope for {', '.join(sorted(names - set(SCOPES)))}")
 
 
 def describe_scope(operation: dict[str, Any]) -> None:
