@@ -1,6 +1,7 @@
 """`lambent_relight.brdf` for one pair of directions at a time, in compiled loops and double precision.
 
-The equations are stated there; functions of the same name are the same ones.
+The equations are stated there; functions of the same name are the same ones. The browser's, in TypeScript and
+GLSL, are translated from these (`scripts/shared_reflectance.py`).
 """
 
 import math
@@ -30,7 +31,8 @@ def ggx_density(n_dot_h, sine_squared, alpha):
 
 
 @inlined(fastmath=False)
-def _shadowing(cosine, alpha):
+def shadowing(cosine, alpha):
+    """Return Smith's term of one direction, in Schlick's form."""
     k = 0.5 * alpha
     return cosine / max(cosine * (1.0 - k) + k, FLOOR)
 
@@ -38,7 +40,7 @@ def _shadowing(cosine, alpha):
 @inlined(fastmath=False)
 def specular_cos(density, n_dot_o, n_dot_i, alpha):
     """Return the specular lobe times cosine without Fresnel, from `ggx_density` and cosines >= 0."""
-    return density * _shadowing(n_dot_i, alpha) * _shadowing(n_dot_o, alpha) / (4.0 * max(n_dot_o, FLOOR))
+    return density * shadowing(n_dot_i, alpha) * shadowing(n_dot_o, alpha) / (4.0 * max(n_dot_o, FLOOR))
 
 
 @inlined(fastmath=False)

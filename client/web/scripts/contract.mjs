@@ -1,4 +1,4 @@
-// Generates the TypeScript of proto/, of the REST interface and of the numbers that Python shares into src/contract, or
+// Generates the TypeScript of proto/, of the REST interface, and of the numbers and the reflectance that Python shares, into src/contract, or
 // with --check lists the files that differ.
 // protoc comes with grpcio-tools in the repository's .venv; set PYTHON to use another interpreter.
 import { execFileSync } from "node:child_process";
@@ -74,9 +74,11 @@ function generateRest(target) {
   rmSync(bodies);
 }
 
-/** Write the numbers that Python and the browser share. */
-function generateConstants(target) {
-  execFileSync(python, [join(root, "scripts/shared_constants.py"), target], { stdio: "inherit" });
+/** Write the numbers and the reflectance that Python and the browser share. */
+function generateShared(target) {
+  for (const name of ["shared_constants.py", "shared_reflectance.py"]) {
+    execFileSync(python, [join(root, "scripts", name), target], { stdio: "inherit" });
+  }
 }
 
 function main() {
@@ -85,7 +87,7 @@ function main() {
   try {
     generate(fresh);
     generateRest(fresh);
-    generateConstants(fresh);
+    generateShared(fresh);
     const names = filesUnder(fresh);
     const stale = filesUnder(contract).filter((name) => !names.includes(name));
     const differing = names.filter(

@@ -6,6 +6,7 @@
  */
 
 import { minAlpha, splitSumAzimuth, splitSumPolar, splitSumSide } from "../contract/constants.js";
+import { schlickWeight, shadowing } from "../contract/reflectance.js";
 
 /** The specular reflectance under uniform light is F0 * scale + bias. */
 export type SplitSum = { readonly scale: number; readonly bias: number };
@@ -31,11 +32,8 @@ export function integrate(cosine: number, perceptualRoughness: number): SplitSum
       const cosOH = cosine * cosH + sine * sinH * azimuthCosines[j]!;
       const cosI = 2 * cosOH * cosH - cosine;
       if (!(cosI > 0 && cosOH > 0)) continue;
-      const shadowing = cosI / (cosI * (1 - k) + k);
-      const weight = (share * shadowing * cosOH) / (cosH * (cosine * (1 - k) + k));
-      const glancing = 1 - Math.min(cosOH, 1);
-      const squared = glancing * glancing;
-      const fresnel = squared * squared * glancing;
+      const weight = (share * shadowing(cosI, alpha) * cosOH) / (cosH * (cosine * (1 - k) + k));
+      const fresnel = schlickWeight(Math.min(cosOH, 1));
       scale += weight * (1 - fresnel);
       bias += weight * fresnel;
     }

@@ -4,7 +4,8 @@
  * sum.
  */
 
-import { dielectricF0, leastBlocked, numLobeSteps } from "../contract/constants.js";
+import { leastBlocked, numLobeSteps } from "../contract/constants.js";
+import { baseReflectance } from "../contract/reflectance.js";
 import type { AtlasMesh } from "../bundle/mesh.js";
 import { type HitTransport, tableWidth } from "../bundle/transport.js";
 import { basis } from "../engine/harmonics.js";
@@ -99,7 +100,7 @@ export class Hits {
     const metal = metalness[texel]!;
     for (let channel = 0; channel < 3; channel++) {
       const at = 3 * texel + channel;
-      const f0 = metal * albedo[at]! + (1 - metal) * dielectricF0;
+      const f0 = baseReflectance(albedo[at]!, metal);
       const lit = free * this.#sky[channel]! + (1 - free) * this.#around[at]!;
       out[channel]! += (f0 * scale + bias) * lit;
     }

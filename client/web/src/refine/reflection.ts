@@ -6,22 +6,12 @@
  */
 
 import { brdfFloor, minAlpha } from "../contract/constants.js";
+import { ggxDensity, schlickWeight, specularCos } from "../contract/reflectance.js";
 import { mirrorOf, type Vector } from "./vectors.js";
 
 /** Return the GGX width of a perceptual roughness. */
 export function alphaOf(perceptualRoughness: number): number {
   return Math.max(Math.min(Math.max(perceptualRoughness, 0), 1) ** 2, minAlpha);
-}
-
-/** Return the Trowbridge-Reitz density D(h), 1/sr, from cos^2 and sin^2 of the angle to the normal. */
-export function ggxDensity(cosineSquared: number, sineSquared: number, alpha: number): number {
-  const width = alpha * alpha;
-  return width / (Math.PI * Math.max(cosineSquared * width + sineSquared, brdfFloor * width) ** 2);
-}
-
-function shadowing(cosine: number, alpha: number): number {
-  const k = 0.5 * alpha;
-  return cosine / Math.max(cosine * (1 - k) + k, brdfFloor);
 }
 
 /** Write x tangent + y bitangent + z normal; (tangent, bitangent, normal) is right-handed. */
@@ -87,12 +77,11 @@ export class Reflection {
     const nDotI = Math.max(nx * omegaI[0]! + ny * omegaI[1]! + nz * omegaI[2]!, 0);
     const nDotO = Math.max(nx * omegaO[0]! + ny * omegaO[1]! + nz * omegaO[2]!, 0);
     // cos^2 and sin^2 both: 1 - cos^2 would lose every digit of a narrow lobe.
-    const density = ggxDensity(nDotH * nDotH, cx * cx + cy * cy + cz * cz, alpha);
+    const density = ggxDensity(nDotH, cx * cx + cy * cy + cz * cz, alpha);
     this.ggxPdf = (density * nDotH) / (4 * Math.max(oDotH, brdfFloor));
     this.cosinePdf = nDotI / Math.PI;
-    const lobe =
-      (density * shadowing(nDotI, alpha) * shadowing(nDotO, alpha)) / (4 * Math.max(nDotO, brdfFloor));
-    const fresnel = (1 - oDotH) ** 5;
+    const lobe = specularCos(density, nDotO, nDotI, alpha);
+    const fresnel = schlickWeight(oDotH);
     this.specular = lobe * (1 - fresnel);
     this.grazing = lobe * fresnel;
   }

@@ -5,7 +5,7 @@
  * times the mirror lobe. It is weighted by one over the density of their mixture: Veach's balance heuristic.
  */
 
-import { dielectricF0 } from "../contract/constants.js";
+import { baseReflectance, schlickWeight } from "../contract/reflectance.js";
 import { cosineLobe, type LightSampler, lobeOfAlpha, tableRow } from "./lightSampler.js";
 import { cosineSample, ggxSample, Reflection } from "./reflection.js";
 import type { SurfacePoints } from "./surfacePoints.js";
@@ -36,9 +36,9 @@ export type Lit = {
  */
 export function strategyShares(lit: Lit, out: Float64Array): void {
   const { meanAlbedo, metalness, alpha, cosine } = lit;
-  const f0 = metalness * meanAlbedo + (1 - metalness) * dielectricF0;
+  const f0 = baseReflectance(meanAlbedo, metalness);
   // Schlick's term at the mirror direction, less for wide lobes, which have few microfacets at that angle.
-  const grazing = (1 - Math.min(Math.max(cosine, 0), 1)) ** 5 / (1 + wideLobesGrazeLess * alpha);
+  const grazing = schlickWeight(Math.min(Math.max(cosine, 0), 1)) / (1 + wideLobesGrazeLess * alpha);
   const specular = cosine > 0 ? (f0 + (1 - f0) * grazing) * lit.specularMean : 0;
   const diffuse = (1 - metalness) * meanAlbedo * lit.diffuseMean;
   const share = Math.min(Math.max(specular / Math.max(specular + diffuse, 1e-9), 0.1), 0.95);
@@ -120,7 +120,7 @@ export class Scattering {
     const { cosinePdf, specular, grazing } = this.#reflection;
     for (let channel = 0; channel < 3; channel++) {
       const base = albedo[3 * this.#point + channel]!;
-      const f0 = metal * base + (1 - metal) * dielectricF0;
+      const f0 = baseReflectance(base, metal);
       this.weight[channel] =
         ((1 - metal) * base * cosinePdf + f0 * specular + grazing) / Math.max(pdf, 1e-20);
     }

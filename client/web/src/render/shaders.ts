@@ -3,6 +3,7 @@
 import { tableWidth } from "../bundle/transport.js";
 import { maxDominant } from "../light/prepare.js";
 import constants from "../contract/constants.glsl?raw";
+import reflectance from "../contract/reflectance.glsl?raw";
 import { backgrounds, channels, outputs, toneCurves } from "./looks.js";
 import header from "./shaders/header.glsl?raw";
 
@@ -27,7 +28,7 @@ const common: Macros = {
 /** Return a shader of some parts, each of which may use the ones before. */
 export function shader(parts: readonly string[], macros: Macros = {}): string {
   const lines = Object.entries({ ...common, ...macros }).map(([name, value]) => `#define ${name} ${value}\n`);
-  return [header, constants, ...lines, ...parts].join("");
+  return [header, constants, reflectance, ...lines, ...parts].join("");
 }
 
 /** Return a number as GLSL writes floats. */

@@ -13,9 +13,7 @@ vec3 glints(vec3 n, vec3 o, vec3 mirror, float alpha, vec3 f0, vec4 share, inout
   vec3 added = vec3(0.0);
   if (trust <= 0.0 || numLights == 0) return added;
   float square = alpha * alpha;
-  float k = 0.5 * alpha;
   float scale = lobeScale(square);
-  float shadowO = 1.0 / (max(dot(n, o), 1e-6) * (1.0 - k) + k);
   vec3 taken = vec3(0.0);
   for (int light = 0; light < numLights; light++) {
     vec3 l = lightDirections[light];
@@ -29,12 +27,11 @@ vec3 glints(vec3 n, vec3 o, vec3 mirror, float alpha, vec3 f0, vec4 share, inout
     if (cosine <= 0.0 || seen <= 0.0) continue;
     vec3 h = o + l;
     h /= max(length(h), 1e-6);
-    float cosH = max(dot(n, h), 0.0);
-    float spread = cosH * cosH * (square - 1.0) + 1.0;
-    float density = square / (pi * max(spread * spread, 1e-20));
-    float shadowI = cosine / (cosine * (1.0 - k) + k);
-    vec3 fresnel = f0 + (1.0 - f0) * pow(1.0 - clamp(dot(o, h), 0.0, 1.0), 5.0);
-    added += trust * seen * density * shadowI * shadowO * 0.25 * fresnel * lightIrradiance[light];
+    vec3 sine = cross(n, h);
+    float density = ggxDensity(max(dot(n, h), 0.0), dot(sine, sine), alpha);
+    float lobe = specularCos(density, max(dot(n, o), 1e-6), cosine, alpha);
+    vec3 fresnel = f0 + (1.0 - f0) * schlickWeight(clamp(dot(o, h), 0.0, 1.0));
+    added += trust * seen * lobe * fresnel * lightIrradiance[light];
   }
   prefiltered -= trust * min(taken, prefiltered);
   return added;

@@ -141,7 +141,11 @@ vec3 radianceOf(Surface s, vec4 open[OPEN_LAYERS], vec3 toViewer) {
   float cosine = dot(s.normal, toViewer);
   vec3 mirror = 2.0 * cosine * s.normal - toViewer;
   vec2 table = splitSum(cosine, s.roughness);
-  vec3 f0 = mix(vec3(DIELECTRIC_F0), s.albedo, s.metalness);
+  vec3 f0 = vec3(
+    baseReflectance(s.albedo.r, s.metalness),
+    baseReflectance(s.albedo.g, s.metalness),
+    baseReflectance(s.albedo.b, s.metalness)
+  );
   vec3 reflectance = f0 * table.x + table.y;
   vec3 diffuse = (1.0 - s.metalness) * s.albedo / pi;
   vec3 prefiltered = radianceFrom(mirror, s.roughness);
