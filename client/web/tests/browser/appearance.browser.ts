@@ -197,14 +197,16 @@ type Held = Parameters<Page["route"]>[1];
 /** Wait until the viewer has drawn its picture and its lights, and draws no more. */
 async function drawn(page: Page): Promise<void> {
   await page.evaluate(() => document.querySelector("lambent-viewer")!.ready);
-  await page.waitForFunction(() => {
+  const chipsAreDrawn = (): boolean => {
     const chips = document.querySelector("lambent-viewer")!.shadowRoot!.querySelectorAll(".chip canvas");
     return [...chips].every((each) => {
       const { width, height } = each as HTMLCanvasElement;
       const context = (each as HTMLCanvasElement).getContext("2d")!;
       return context.getImageData(width / 2, height / 2, 1, 1).data[3]! > 0;
     });
-  });
+  };
+  // In software, beside other tests, lights take longer than the usual 30 s.
+  await page.waitForFunction(chipsAreDrawn, undefined, { timeout: 120_000 });
   await page.evaluate(async () => {
     const viewer = document.querySelector("lambent-viewer")!.viewer!;
     let last = performance.now();
