@@ -10,6 +10,7 @@ from lambent_server.api.problems import Problem
 from lambent_server.core.settings import Settings
 from lambent_server.storage.archives import unpack
 from strangers.ball import write_transforms
+from support.archives import AnyRoom
 
 pytestmark = pytest.mark.slow
 
@@ -19,7 +20,7 @@ NAMES = {"transforms.json", *(f"images/{index:03d}.png" for index in range(8))}
 def _names_in(archive: Path) -> set[str]:
     kept = archive.parent / "kept"
     kept.mkdir()
-    members, _ = unpack(archive, kept, Settings())
+    members, _ = unpack(archive, kept, Settings(), AnyRoom())
     return {member.path for member in members}
 
 
