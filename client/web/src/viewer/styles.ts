@@ -96,7 +96,8 @@ progress { width: min(20rem, 70cqw); justify-self: center; accent-color: #8ec7ff
 @container (min-width: 40rem) {
   /* The longest choices are German ones. */
   .panel label:has(> select) { grid-template-columns: 6.1rem 1fr; }
-  .view:has(~ .dock > .panel[open]), .welcome:has(~ .dock:not([hidden]) > .panel[open]) { right: 23.5rem; }
+  /* Also while the panel is not shown yet: nothing shifts when a bundle begins to load. */
+  .view:has(~ .dock > .panel[open]), .welcome:has(~ .dock > .panel[open]) { right: 23.5rem; }
   .dock:has(> .panel[open]) > .strip { right: 24.25rem; }
 }
 @container (max-width: 40rem) {
